@@ -1,0 +1,81 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+
+#include "core/image.h"
+#include "core/mesh.h"
+#include "core/params.h"
+#include "core/progress.h"
+#include "grids/scene.h"
+
+/// Preview pictures: a path tracer for meshes and slices through volumes.
+namespace sekitei::render {
+
+struct Params {
+    int width = 1280, height = 720;
+    int samples = 64;  ///< paths a pixel
+    int bounces = 4;
+    double sun_azimuth = 135, sun_elevation = 38;  ///< [deg], azimuth clockwise from north (+y)
+    double sun_size = 0.53;                        ///< apparent diameter [deg]
+    double turbidity = 3;
+    double exposure = 0;               ///< stops
+    std::optional<Vec3d> eye, target;  ///< [m]; auto: from the bounds
+    double view_azimuth = 215,
+           view_elevation = 18;  ///< [deg] where the automatic camera stands, seen from the target
+    double zoom = 1;             ///< > 1: nearer
+    double field_of_view = 35;   ///< vertical [deg]
+    bool ground = true;          ///< a ground plane at the lowest point
+    std::string field;           ///< mesh attribute shown as colours with a colour bar; empty: rock
+
+    static void describe(auto&& field_)
+    {
+        field_("width", &Params::width, "", between(16, 16384), "picture width in pixels");
+        field_("height", &Params::height, "", between(16, 16384), "picture height in pixels");
+        field_("samples", &Params::samples, "", between(1, 65536), "light paths a pixel");
+        field_("bounces", &Params::bounces, "", between(0, 64), "longest light path");
+        field_("sun_azimuth", &Params::sun_azimuth, "deg", kAny,
+               "direction of the sun, clockwise from north (+y)");
+        field_("sun_elevation", &Params::sun_elevation, "deg", between(-90, 90),
+               "height of the sun above the horizon");
+        field_("sun_size", &Params::sun_size, "deg", between(0, 20),
+               "apparent diameter of the sun: softness of shadows");
+        field_("turbidity", &Params::turbidity, "", between(1, 10), "haze of the sky");
+        field_("exposure", &Params::exposure, "", between(-20, 20), "brighter or darker, in stops");
+        field_("eye", &Params::eye, "m", kAny, "position of the camera");
+        field_("target", &Params::target, "m", kAny, "point the camera looks at");
+        field_("view_azimuth", &Params::view_azimuth, "deg", kAny,
+               "where the automatic camera stands, clockwise from north, seen from the target");
+        field_("view_elevation", &Params::view_elevation, "deg", between(-89, 89),
+               "height of the automatic camera above the horizon");
+        field_("zoom", &Params::zoom, "", kPositive,
+               "nearer (above 1) or farther than the automatic distance");
+        field_("field_of_view", &Params::field_of_view, "deg", between(1, 150),
+               "vertical opening of the camera");
+        field_("ground", &Params::ground, "a ground plane at the lowest point");
+        field_("field", &Params::field, "mesh attribute to show as colours with a colour bar");
+    }
+};
+
+void validate(const Params& params);
+
+/// Renders `mesh` (attributes `column`, `component`, `surface` steer the rock's look).
+/// Sun and sky light, diffuse and rough specular rock; the same bytes on any number of threads.
+/// @throws InvalidInput  empty mesh, an attribute that is not there
+Image8 run(const TriMesh& mesh, const Params& params, std::uint64_t seed, const Progress& progress);
+
+struct SliceParams {
+    std::string grid;  ///< name of the grid to show
+    std::string axis = "x";
+    std::optional<double> at;         ///< position along the axis [m]; auto: the middle
+    int width = 900;                  ///< of the picture, colour bar included
+    std::optional<double> low, high;  ///< values of the bar's ends; auto: from the slice
+};
+
+/// A plane through a volume with a colour bar and units; ids (Int32) in distinct colours.
+/// Vectors show their direction as colour.
+/// @throws InvalidInput  no such grid; InvalidParameter  plane outside the grid
+Image8 slice(const Scene& scene, const SliceParams& params);
+
+}  // namespace sekitei::render

@@ -1,0 +1,90 @@
+#pragma once
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <cstddef>
+#include <memory>
+#include <vector>
+
+/// Parallel loops whose result does not depend on the number of threads. All use of TBB is here.
+namespace sekitei {
+
+/// Limits every loop below to `threads` while it lives; 0 means all cores.
+class ThreadLimit {
+public:
+    explicit ThreadLimit(std::size_t threads);
+    ~ThreadLimit();
+    ThreadLimit(const ThreadLimit&) = delete;
+    ThreadLimit& operator=(const ThreadLimit&) = delete;
+
+private:
+    struct State;
+    std::unique_ptr<State> state_;
+};
+
+/// Threads that loops use now.
+std::size_t thread_count();
+
+/// Calls f(i) for each i in [0, count). Tasks write only what belongs to their own i.
+template <class F>
+void parallel_for(std::size_t count, F&& f, std::size_t grain = 1)
+{
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, grain),
+                      [&](const tbb::blocked_range<std::size_t>& range) {
+                          for (std::size_t i = range.begin(); i != range.end(); ++i) f(i);
+                      });
+}
+
+/// Calls f(begin, end) on disjoint ranges that cover [0, count); the cut points are not fixed.
+template <class F>
+void parallel_for_range(std::size_t count, F&& f, std::size_t grain = 1)
+{
+    tbb::parallel_for(
+        tbb::blocked_range<std::size_t>(0, count, grain),
+        [&](const tbb::blocked_range<std::size_t>& range) { f(range.begin(), range.end()); });
+}
+
+/// Folds chunk results in index order: join(join(zero, map(0, chunk)), map(chunk, 2 chunk)), ...
+///
+/// Chunks have fixed bounds, so a floating-point sum is the same on any number of threads.
+/// @param map   T(begin, end) for one chunk
+/// @param join  T(T, T)
+template <class T, class Map, class Join>
+T parallel_fold(std::size_t count, std::size_t chunk, T zero, Map&& map, Join&& join)
+{
+    const std::size_t chunks = (count + chunk - 1) / chunk;
+    std::vector<T> parts(chunks, zero);
+    parallel_for(chunks, [&](std::size_t c) {
+        parts[c] = map(c * chunk, std::min(count, (c + 1) * chunk));
+    });
+    T total = zero;
+    for (const T& part : parts) total = join(total, part);
+    return total;
+}
+
+/// Sum of f(i) over [0, count), ordered.
+template <class F>
+double parallel_sum(std::size_t count, F&& f, std::size_t chunk = 1024)
+{
+    return parallel_fold(
+        count, chunk, 0.0,
+        [&](std::size_t begin, std::size_t end) {
+            double sum = 0;
+            for (std::size_t i = begin; i != end; ++i) sum += f(i);
+            return sum;
+        },
+        [](double a, double b) { return a + b; });
+}
+
+/// offsets[i] = sum of counts[0..i); one element longer than `counts`, the last is the total.
+template <class T>
+std::vector<T> prefix_sum(const std::vector<T>& counts)
+{
+    std::vector<T> offsets(counts.size() + 1, T{});
+    for (std::size_t i = 0; i < counts.size(); ++i) offsets[i + 1] = offsets[i] + counts[i];
+    return offsets;
+}
+
+}  // namespace sekitei

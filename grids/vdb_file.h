@@ -1,0 +1,73 @@
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <set>
+#include <string>
+
+#include "core/progress.h"
+#include "grids/scene.h"
+
+/// All VDB files go through here, both ways, and nowhere else.
+///
+/// OpenVDB's writer reports success on a full disk and leaves half files under the final name; its
+/// reader hangs or eats memory on truncated ones. So: a file is written to a temporary name through
+/// a checked stream, synced, its header re-read, and renamed; a file is read only after our own
+/// parser has checked magic, version, every length against the file's size and the last grid's end
+/// position, and where a grid carries `sekitei:hash`, the values are checked against it.
+namespace sekitei {
+
+struct ReadOptions {
+    std::set<std::string> only;  ///< names of grids to load; empty = all
+    bool keep_foreign = true;    ///< load grids of other types to write them back
+    bool check_hashes = true;
+    bool fix_nan = false;     ///< replace NaN and infinity by the background, with a warning
+    double memory_limit = 0;  ///< bytes; 0 = none. Checked against the file before loading
+};
+
+/// @throws InvalidInput   truncated, damaged, not a VDB, wrong version, hash mismatch, NaN voxels,
+///                        non-uniform transform; names file, grid, value, expectation and remedy
+/// @throws LimitExceeded  would need more memory than allowed
+Scene read_vdb(const std::filesystem::path& path, const ReadOptions& options = {});
+
+struct WriteOptions {
+    bool half = false;  ///< 16-bit floats, for export
+};
+
+/// Writes grids, points and history. Equal scenes give equal bytes: the file's UUID is a hash of
+/// its content.
+/// @throws IoError  the target is left as it was
+void write_vdb(const std::filesystem::path& path, const Scene& scene,
+               const WriteOptions& options = {});
+
+/// The framed form for pipes: magic, length, VDB bytes, hash trailer. Truncation is detected.
+void write_vdb_stream(int file_descriptor, const Scene& scene);
+Scene read_vdb_stream(int file_descriptor, const ReadOptions& options = {},
+                      std::string already_read = "");
+
+/// What a file holds, read without loading values.
+struct VdbGridInfo {
+    std::string name, type, grid_class, unit, stage, hash;
+    std::uint64_t active_voxels = 0, bytes_on_disk = 0;
+    double voxel = 0;
+    Vec3d lower, upper;  ///< world bounds of active voxels
+    bool points = false;
+    Json metadata;
+};
+struct VdbFileInfo {
+    std::uint64_t bytes = 0;
+    std::string uuid, creator;
+    Domain domain;
+    std::vector<VdbGridInfo> grids;
+    std::vector<HistoryEntry> history;
+};
+VdbFileInfo inspect_vdb(const std::filesystem::path& path);
+
+/// Reads everything and compares each grid with its sekitei:hash; returns the names that differ or
+/// carry no hash.
+struct VerifyResult {
+    std::vector<std::string> damaged, without_hash, good;
+};
+VerifyResult verify_vdb(const std::filesystem::path& path);
+
+}  // namespace sekitei
