@@ -23,6 +23,8 @@ public:
     AtomicFile(const AtomicFile&) = delete;
     AtomicFile& operator=(const AtomicFile&) = delete;
 
+    /// Says how large the file will be: a disk too full is then refused before the first byte.
+    void reserve(std::uint64_t bytes);
     /// @throws IoError  "cannot write cliff.vdb: no space: needed 5.3 MB, free 64 kB"
     void write(const void* data, std::size_t bytes);
     void write(std::string_view text) { write(text.data(), text.size()); }
@@ -54,7 +56,8 @@ std::string read_file(const std::filesystem::path& path, std::uint64_t limit = 1
 /// XXH3-128 of a file's bytes, in hexadecimal.
 std::string file_hash(const std::filesystem::path& path);
 
-/// Removes temporary files left in `folder` by processes that no longer run.
+/// Removes temporary files left in `folder` by processes that no longer run (a writer holds a lock
+/// on its own).
 void remove_stale_temporaries(const std::filesystem::path& folder);
 
 }  // namespace sekitei
