@@ -24,7 +24,8 @@ struct NearestPoint {
 /// (clamped projection) in double; on an exact tie the lower line, then the lower segment wins.
 class PolylineIndex {
 public:
-    explicit PolylineIndex(const Polylines& lines);  ///< copies what it needs
+    /// Copies what it needs. No lines: every query answers line -1 at infinite distance.
+    explicit PolylineIndex(const Polylines& lines);
     ~PolylineIndex();
     PolylineIndex(PolylineIndex&&) noexcept;
     PolylineIndex& operator=(PolylineIndex&&) noexcept;
@@ -39,6 +40,18 @@ public:
         std::vector<std::int32_t> line;
     };
     void candidates(Vec3d centre, double rho, Candidates& out) const;
+
+    /// Those of `from` that can be nearest for some point of the cube centre +- half, by tighter
+    /// bounds: a segment is left out if it is farther from the whole cube than another segment is
+    /// from the cube's farthest corner. `from` must hold the candidates of a larger region.
+    static void narrow(const Candidates& from, Vec3d centre, double half, Candidates& out);
+
+    /// Nearest over the candidates for the 512 voxel centres of the leaf at `origin`, in leaf order.
+    /// Same line and arc as nearest(), several voxels at a time.
+    /// @param line  512 line ids, or null
+    /// @param arc   512 arc lengths [voxels], or null
+    static void nearest_in_leaf(Coord origin, const Candidates& candidates, std::int32_t* line,
+                                double* arc);
 
     /// Nearest over the candidates.
     static NearestPoint nearest(Vec3d p, const Candidates& candidates);

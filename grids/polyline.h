@@ -36,8 +36,13 @@ struct Polylines {
     std::vector<double> arc_lengths() const;
 };
 
+/// The nearest point of a lattice of 2^-20 voxel. Centre lines lie on it, so that they pass through
+/// world coordinates and files without losing a bit.
+Vec3d on_line_lattice(Vec3d p);
+
 /// As scene points: attributes `line` (int32), `order` (int32), `arc` (float, m), `stop` (int32).
 Points to_points(const Polylines& lines, const Transform& transform);
+/// Points are put on the lattice of 2^-20 voxel.
 /// @throws InvalidInput  attributes missing or lines not contiguous
 Polylines to_polylines(const Points& points, const Transform& transform);
 
