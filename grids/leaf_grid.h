@@ -196,6 +196,12 @@ public:
         std::vector<std::size_t> constants;
         for (std::size_t i = 0; i < leaf_count(); ++i)
             if (is_constant(i)) constants.push_back(i);
+        expand(constants);
+    }
+
+    /// Gives these constant leaves (no repeats) their own 512 values, equal to the constant.
+    void expand(const std::vector<std::size_t>& constants)
+    {
         const std::size_t used = pool_.size() / kLeafSize;
         pool_.resize((used + constants.size()) * kLeafSize);
         parallel_for(
