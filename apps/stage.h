@@ -1,0 +1,91 @@
+#pragma once
+
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "core/image.h"
+#include "core/params.h"
+#include "core/progress.h"
+#include "grids/scene.h"
+
+/// A process as users meet it: one command and one kind of recipe table.
+namespace sekitei::apps {
+
+enum class OutputKind { Scene, Mesh, Picture };
+
+struct StageInfo {
+    std::string name;     ///< the command: "joint"
+    std::string version;  ///< changes when results change; part of every cache key
+    std::string summary;
+    OutputKind output = OutputKind::Scene;
+    bool reads_scene = true;             ///< false: makes a scene from nothing
+    std::vector<std::string> needs;      ///< grids, points or meshes it cannot do without
+    std::vector<std::string> makes;      ///< grids, points or meshes it may put
+};
+
+/// What a stage would need, found before anything is allocated.
+struct Need {
+    double voxels = 0;  ///< active voxels worked on
+    double memory = 0;  ///< bytes at the peak
+    double disk = 0;    ///< bytes of its result
+};
+
+/// What is known of a scene without loading it.
+struct SceneOutline {
+    Domain domain, heat_domain;
+    double lava_voxels = 0;
+};
+
+struct StageContext {
+    std::uint64_t seed = 0;
+    Progress progress;
+    double memory_limit = 0;  ///< bytes, 0 = none
+    bool fix_nan = false;
+    std::filesystem::path folder;      ///< relative paths in parameters start here
+    std::filesystem::path checkpoint;  ///< file for a long stage's own state; empty = none
+};
+
+class Stage {
+public:
+    virtual ~Stage() = default;
+    virtual const StageInfo& info() const = 0;
+    /// What it reads of a scene with its present parameters.
+    virtual std::vector<std::string> needs() { return info().needs; }
+    /// Bound to this object; set values through it.
+    virtual ParamList params() = 0;
+    /// @throws InvalidParameter
+    virtual void validate() = 0;
+    /// May refine `outline` (a body of lava sets the domain). Reads headers of input files at most.
+    virtual Need estimate(SceneOutline& outline, const StageContext& context) = 0;
+    /// Adds or replaces what it makes in `scene`; returns numbers worth a summary.
+    virtual Json run(Scene& scene, const StageContext& context) = 0;
+    /// Picture stages leave their result here.
+    Image8 picture;
+
+    /// Absolute form of a path parameter.
+    static std::filesystem::path resolve(const StageContext& context, const std::filesystem::path& path)
+    {
+        return path.empty() || path.is_absolute() ? path : context.folder / path;
+    }
+};
+
+/// All processes, in the order a cliff is made.
+const std::vector<StageInfo>& stage_infos();
+/// @throws InvalidParameter  unknown name, with the nearest one
+std::unique_ptr<Stage> make_stage(const std::string& name);
+const StageInfo& stage_info(const std::string& name);
+
+/// Hashes of all files that path parameters of `stage` name, by the path as written.
+/// @throws InvalidInput  a file is missing
+Json input_hashes(Stage& stage, const StageContext& context);
+
+/// History entry for what `stage` is about to do.
+HistoryEntry history_of(Stage& stage, const StageContext& context);
+
+/// @throws LimitExceeded  naming what is needed, the limit and the option to raise it
+void check_memory(const std::string& who, double bytes, double limit);
+
+}  // namespace sekitei::apps

@@ -1,0 +1,81 @@
+#include <filesystem>
+
+#include "apps/stages/stages.h"
+#include "core/error.h"
+#include "core/file_output.h"
+#include "core/log.h"
+#include "solvers/cooling/cooling.h"
+#include "solvers/lava/lava.h"
+
+namespace sekitei::apps {
+namespace {
+
+/// What the lava preset of this scene recommends; generic values without one.
+lava::PresetDefaults recommended(const Scene& scene)
+{
+    if (const Json* made = lava_params(scene)) {
+        lava::Params params;
+        const ParamList list = describe_params(params);
+        if (made->contains("preset")) find_param(list, "preset")->set((*made)["preset"]);
+        return lava::preset_defaults(params.preset);
+    }
+    return {};
+}
+
+class CoolStage : public Stage {
+public:
+    const StageInfo& info() const override
+    {
+        static const StageInfo kInfo{"cool",
+                                     "1",
+                                     "cool the lava: temperature and its gradient",
+                                     OutputKind::Scene,
+                                     true,
+                                     {"region_coarse"},
+                                     {"temperature", "temperature_gradient", "temperature_gradient_mag"}};
+        return kInfo;
+    }
+
+    ParamList params() override { return describe_params(params_); }
+    void validate() override { cooling::validate(params_); }
+
+    Need estimate(SceneOutline& outline, const StageContext&) override
+    {
+        const Coord d = outline.heat_domain.dims;
+        const double cells = d.x > 0 ? outline.heat_domain.voxel_count()
+                                     : outline.domain.voxel_count() / 512;
+        return {cells, cells * 60, cells * 20};
+    }
+
+    Json run(Scene& scene, const StageContext& context) override
+    {
+        const IntGrid& region = scene.ints("region_coarse");
+        const lava::PresetDefaults defaults = recommended(scene);
+        const cooling::Inputs inputs{region, scene.heat_domain, defaults.heat_steps, defaults.plateau_share};
+        check_memory("cool", scene.heat_domain.voxel_count() * 60, context.memory_limit);
+
+        cooling::Checkpoint checkpoint;
+        if (!context.checkpoint.empty()) {
+            checkpoint.save = [&](const std::string& bytes) { write_file(context.checkpoint, bytes); };
+            if (std::filesystem::exists(context.checkpoint)) checkpoint.resume = read_file(context.checkpoint);
+        }
+        cooling::Result result = cooling::run(inputs, params_, checkpoint, context.progress);
+        if (!context.checkpoint.empty()) {
+            std::error_code ignored;
+            std::filesystem::remove(context.checkpoint, ignored);
+        }
+        scene.put("temperature", std::move(result.temperature), "K", "cool");
+        scene.put("temperature_gradient", std::move(result.gradient), "", "cool", "covariant normalize");
+        scene.put("temperature_gradient_mag", std::move(result.gradient_magnitude), "K", "cool");
+        return {{"steps", result.steps}, {"last_change_K", result.last_change}};
+    }
+
+private:
+    cooling::Params params_;
+};
+
+}  // namespace
+
+std::unique_ptr<Stage> make_cool() { return std::make_unique<CoolStage>(); }
+
+}  // namespace sekitei::apps

@@ -1,0 +1,91 @@
+#include "solvers/lava/lava.h"
+
+#include "apps/stages/stages.h"
+#include "core/error.h"
+#include "core/log.h"
+#include "core/mesh_io.h"
+#include "grids/vdb_file.h"
+
+namespace sekitei::apps {
+namespace {
+
+class LavaStage : public Stage {
+public:
+    const StageInfo& info() const override
+    {
+        static const StageInfo kInfo{
+            "lava", "1", "make the body of lava and its surroundings", OutputKind::Scene, false,
+            {},     {"region", "region_coarse", "body_sdf", "slow_sdf"}};
+        return kInfo;
+    }
+
+    ParamList params() override { return describe_params(params_); }
+    void validate() override { lava::validate(params_); }
+
+    Need estimate(SceneOutline& outline, const StageContext& context) override
+    {
+        load(context);
+        const lava::Estimate e = lava::estimate(params_, inputs_);
+        outline.domain.dims = e.dims;
+        outline.lava_voxels = e.voxels;
+        return {e.voxels, e.bytes, e.bytes / 8};
+    }
+
+    Json run(Scene& scene, const StageContext& context) override
+    {
+        load(context);
+        const lava::Estimate e = lava::estimate(params_, inputs_);
+        check_memory("lava", e.bytes, context.memory_limit);
+        lava::Result result = lava::run(inputs_, params_, context.seed, context.progress);
+        scene.domain = result.domain;
+        scene.heat_domain = result.heat_domain;
+        const double voxels = static_cast<double>(result.region.active_count());
+        scene.put("region", std::move(result.region), "lava");
+        scene.put("region_coarse", std::move(result.region_coarse), "lava");
+        scene.put("body_sdf", std::move(result.body_sdf), "m", "lava", GridClass::LevelSet);
+        scene.put("slow_sdf", std::move(result.slow_sdf), "m", "lava", GridClass::LevelSet);
+        const Coord d = scene.domain.dims;
+        return {{"voxels", voxels}, {"dims", {d.x, d.y, d.z}}, {"voxel_m", scene.domain.transform.voxel}};
+    }
+
+private:
+    /// Reads the file that the preset names, once.
+    void load(const StageContext& context)
+    {
+        if (loaded_) return;
+        auto required = [&](const std::filesystem::path& path, const char* option) {
+            if (path.empty())
+                throw InvalidParameter(fmt::format("lava: preset {} needs a file: {}",
+                                                   choice_names(params_.preset)[static_cast<std::size_t>(params_.preset)],
+                                                   option));
+            return resolve(context, path);
+        };
+        if (params_.preset == lava::Preset::HeightMap)
+            inputs_.height_map = read_png_grey16(required(params_.height_map, "height_map"));
+        if (params_.preset == lava::Preset::Mesh) {
+            MeshReadReport report;
+            inputs_.mesh = read_mesh(required(params_.mesh, "mesh"), &report);
+            inputs_.mesh_groups = report.groups;
+            for (const std::string& warning : report.warnings) log::warning("{}", warning);
+        }
+        if (params_.preset == lava::Preset::Volume) {
+            ReadOptions options;
+            options.fix_nan = context.fix_nan;
+            options.memory_limit = context.memory_limit;
+            volume_ = read_vdb(required(params_.volume, "volume"), options);
+            inputs_.volume = &volume_;
+        }
+        loaded_ = true;
+    }
+
+    lava::Params params_;
+    lava::Inputs inputs_;
+    Scene volume_;
+    bool loaded_ = false;
+};
+
+}  // namespace
+
+std::unique_ptr<Stage> make_lava() { return std::make_unique<LavaStage>(); }
+
+}  // namespace sekitei::apps

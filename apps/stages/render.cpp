@@ -1,0 +1,82 @@
+#include "apps/render/render.h"
+
+#include "apps/stages/stages.h"
+#include "core/error.h"
+
+namespace sekitei::apps {
+namespace {
+
+/// What chooses between a view of the surface and a slice.
+struct SliceChoice {
+    std::string slice;
+    std::string axis = "x";
+    std::optional<double> at, low, high;
+
+    static void describe(auto&& field)
+    {
+        field("slice", &SliceChoice::slice, "grid to cut through instead of looking at the surface");
+        field("axis", &SliceChoice::axis, "with slice: normal of the plane, x, y or z");
+        field("at", &SliceChoice::at, "m", kAny, "with slice: position of the plane; auto: the middle");
+        field("low", &SliceChoice::low, "", kAny, "with slice: value at the lower end of the colour bar");
+        field("high", &SliceChoice::high, "", kAny, "with slice: value at the upper end of the colour bar");
+    }
+};
+
+class RenderStage : public Stage {
+public:
+    const StageInfo& info() const override
+    {
+        static const StageInfo kInfo{"render", "1",      "make a picture of the rock or of a slice through a volume",
+                                     OutputKind::Picture, true, {"rock"}, {}};
+        return kInfo;
+    }
+
+    std::vector<std::string> needs() override
+    {
+        return {choice_.slice.empty() ? std::string("rock") : choice_.slice};
+    }
+
+    ParamList params() override
+    {
+        ParamList list = describe_params(params_);
+        for (Param& p : describe_params(choice_)) list.push_back(std::move(p));
+        return list;
+    }
+    void validate() override
+    {
+        render::validate(params_);
+        if (choice_.axis != "x" && choice_.axis != "y" && choice_.axis != "z")
+            throw InvalidParameter(fmt::format("render: axis = {}, must be x, y or z", choice_.axis));
+    }
+
+    Need estimate(SceneOutline&, const StageContext&) override
+    {
+        const double pixels = double(params_.width) * params_.height;
+        return {pixels, pixels * 40 + 1e8, pixels * 3};
+    }
+
+    Json run(Scene& scene, const StageContext& context) override
+    {
+        if (!choice_.slice.empty()) {
+            picture = render::slice(scene, {choice_.slice, choice_.axis, choice_.at, params_.width,
+                                            choice_.low, choice_.high});
+        }
+        else {
+            const auto mesh = scene.meshes.find("rock");
+            if (mesh == scene.meshes.end())
+                throw InvalidInput("render: the scene has no mesh; run `sekitei mesh` first or give --slice GRID");
+            picture = render::run(mesh->second, params_, context.seed, context.progress);
+        }
+        return {{"width", picture.width}, {"height", picture.height}};
+    }
+
+private:
+    render::Params params_;
+    SliceChoice choice_;
+};
+
+}  // namespace
+
+std::unique_ptr<Stage> make_render() { return std::make_unique<RenderStage>(); }
+
+}  // namespace sekitei::apps
