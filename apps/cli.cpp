@@ -1,0 +1,295 @@
+#include "apps/cli.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <functional>
+#include <map>
+#include <memory>
+#include <new>
+#include <thread>
+
+#include "apps/commands/commands.h"
+#include "apps/console.h"
+#include "apps/stage.h"
+#include "core/error.h"
+#include "core/log.h"
+#include "core/parallel.h"
+#include "core/units.h"
+
+namespace sekitei::apps {
+namespace {
+
+/// Options shared by all commands, as words.
+struct CommonWords {
+    std::vector<std::string> output;
+    std::string seed, threads, memory, params;
+    bool force = false, json = false, quiet = false, verbose = false, fix_nan = false;
+};
+
+void add_common(CLI::App& command, CommonWords& words, bool writes)
+{
+    if (writes) {
+        command.add_option("-o,--output", words.output, "file to write, - for standard output; may be repeated")->type_name("FILE")->allow_extra_args(false)->group("General");
+        command.add_flag("--force", words.force, "replace existing files")->group("General");
+        command.add_option("--seed", words.seed, "seed of all random numbers (integer, 0 or larger; default 1)")->type_name("N")->group("General");
+        command.add_option("--params", words.params, "TOML file of parameters; options on the command line win")->type_name("FILE")->group("General");
+        command.add_flag("--fix-nan", words.fix_nan, "replace NaN and infinite voxels by the background")->group("General");
+    }
+    command.add_option("--threads", words.threads, "threads to use (default: all cores); the result is the same")->type_name("N")->group("General");
+    command.add_option("--memory", words.memory, "refuse work that needs more (default: what the machine has)")->type_name("SIZE")->group("General");
+    command.add_flag("--json", words.json, "print one JSON summary on standard output")->group("General");
+    command.add_flag("-q,--quiet", words.quiet, "say only warnings and errors")->group("General");
+    command.add_flag("-v,--verbose", words.verbose, "say more")->group("General");
+}
+
+std::uint64_t whole_number(const std::string& word, const char* option, std::uint64_t most)
+{
+    std::uint64_t value = 0;
+    const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
+    if (error != std::errc{} || end != word.data() + word.size() || value > most)
+        throw InvalidParameter(fmt::format("{} {}: must be an integer from 0 to {}", option, word, most));
+    return value;
+}
+
+/// The smaller of the machine's memory and the process's own limit.
+double memory_of_machine()
+{
+    double bytes = static_cast<double>(::sysconf(_SC_PHYS_PAGES)) * static_cast<double>(::sysconf(_SC_PAGE_SIZE));
+    rlimit limit{};
+    if (::getrlimit(RLIMIT_AS, &limit) == 0 && limit.rlim_cur != RLIM_INFINITY)
+        bytes = std::min(bytes, static_cast<double>(limit.rlim_cur));
+    return bytes;
+}
+
+/// @param threads  receives the limit; 0 = all
+Common understood(const CommonWords& words, std::size_t& threads)
+{
+    Common common;
+    common.output = words.output;
+    common.force = words.force;
+    common.json = words.json;
+    common.fix_nan = words.fix_nan;
+    common.params_file = words.params;
+    if (!words.seed.empty()) common.seed = whole_number(words.seed, "--seed", 0x7FFFFFFFFFFFFFFF);
+    common.memory_limit = words.memory.empty() ? memory_of_machine() : parse_bytes(words.memory);
+    if (!words.threads.empty()) {
+        threads = whole_number(words.threads, "--threads", 1000000);
+        if (threads == 0) throw InvalidParameter("--threads 0: must be at least 1");
+        // More threads than cores only cost memory.
+        threads = std::min<std::size_t>(threads, std::max(1u, std::thread::hardware_concurrency()));
+    }
+    log::set_level(words.quiet ? log::Level::Warning : words.verbose ? log::Level::Detail : log::Level::Info);
+    return common;
+}
+
+/// One subcommand: its CLI11 object and what it does.
+struct Command {
+    CLI::App* app = nullptr;
+    CommonWords common;
+    std::vector<std::string> files, set, only;
+    std::map<std::string, std::string> words;    // parameters of a stage
+    std::map<std::string, bool> flags;
+    std::string stage, shell, text;
+    bool dry_run = false, full = false, markdown = false;
+    std::string tolerance = "0";
+    std::function<int(const Common&)> run;
+};
+
+using Commands = std::vector<std::unique_ptr<Command>>;
+
+Command& add_command(CLI::App& program, Commands& commands, const std::string& name, const std::string& summary, bool writes,
+                     const char* group)
+{
+    auto command = std::make_unique<Command>();
+    command->app = program.add_subcommand(name, summary)->group(group);
+    add_common(*command->app, command->common, writes);
+    commands.push_back(std::move(command));
+    return *commands.back();
+}
+
+void add_stage_command(CLI::App& program, Commands& commands, const StageInfo& info)
+{
+    Command& c = add_command(program, commands, info.name, info.summary, true, "Processes");
+    if (info.reads_scene)
+        c.app->add_option("scene", c.files, info.output == OutputKind::Picture ? "scene (.vdb) or mesh to look at, - for standard input"
+                                                                               : "scene to read (.vdb), - for standard input")
+            ->type_name("FILE")->expected(1);
+    const auto stage = make_stage(info.name);
+    for (const Param& p : stage->params()) {
+        const std::string option = option_name(p.name);
+        const std::string help = fmt::format("{} ({}; default {})", p.help, p.type_text(), p.value_text());
+        if (p.kind == Param::Kind::Flag)
+            c.app->add_flag("--" + option + ",!--no-" + option, c.flags[p.name], help)->group("Parameters");
+        else c.app->add_option("--" + option, c.words[p.name], help)->type_name("VALUE")->allow_extra_args(false)->group("Parameters");
+    }
+    c.run = [&c, name = info.name](const Common& common) {
+        Words words;
+        const auto described = make_stage(name);
+        for (const Param& p : described->params()) {
+            const CLI::Option* option = c.app->get_option("--" + option_name(p.name));
+            if (option->count() == 0) continue;
+            words.emplace_back(p.name, p.kind == Param::Kind::Flag ? (c.flags[p.name] ? "true" : "false") : c.words[p.name]);
+        }
+        return command_stage(name, c.files, words, common);
+    };
+}
+
+void add_tool_commands(CLI::App& program, Commands& commands)
+{
+    auto summary = [](const std::string& name) {
+        for (const CommandInfo& info : tool_commands())
+            if (info.name == name) return info.summary;
+        return std::string();
+    };
+    auto add = [&](const char* name) -> Command& {
+        return add_command(program, commands, name, summary(name), false, "Tools");
+    };
+    {
+        Command& c = add("run");
+        c.app->add_option("recipe", c.files, "recipe (.toml)")->type_name("FILE")->required()->expected(1);
+        c.app->add_option("--set", c.set, "override a key: joint.spacing=30cm; may be repeated")->type_name("KEY=VALUE")->allow_extra_args(false);
+        c.app->add_option("--only", c.only, "run this stage and what it reads; may be repeated")->type_name("STAGE")->allow_extra_args(false);
+        c.app->add_flag("--dry-run", c.dry_run, "say what would run, why, and what it would take");
+        c.app->add_flag("--force", c.common.force, "replace files that this recipe did not make");
+        c.app->add_flag("--fix-nan", c.common.fix_nan, "replace NaN and infinite voxels by the background");
+        c.app->add_option("--seed", c.common.seed, "seed of the recipe")->type_name("N")->group("General");
+        c.run = [&c](const Common& common) {
+            std::vector<std::string> overrides = c.set;
+            if (!c.common.seed.empty()) overrides.push_back("seed=" + c.common.seed);
+            return command_run(c.files.at(0), overrides, {c.only.begin(), c.only.end()}, c.dry_run, common);
+        };
+    }
+    {
+        Command& c = add("check");
+        c.app->add_option("recipe", c.files, "recipes (.toml)")->type_name("FILE")->required();
+        c.app->add_option("--set", c.set, "override a key")->type_name("KEY=VALUE")->allow_extra_args(false);
+        c.run = [&c](const Common& common) { return command_check(c.files, c.set, common); };
+    }
+    {
+        Command& c = add("info");
+        c.app->add_option("file", c.files, "scenes (.vdb) or meshes")->type_name("FILE")->required();
+        c.run = [&c](const Common& common) { return command_info(c.files, common); };
+    }
+    {
+        Command& c = add("replay");
+        c.app->add_option("file", c.files, "scene (.vdb)")->type_name("FILE")->required()->expected(1);
+        c.app->add_flag("--full", c.full, "write every value, not only those that differ from the defaults");
+        c.run = [&c](const Common&) { return command_replay(c.files.at(0), c.full); };
+    }
+    {
+        Command& c = add("diff");
+        c.app->add_option("files", c.files, "two scenes or two meshes")->type_name("FILE")->required()->expected(2);
+        c.app->add_option("--tolerance", c.tolerance, "largest difference that counts as equal (default 0)")->type_name("NUMBER");
+        c.run = [&c](const Common& common) {
+            const double tolerance = parse_quantity(c.tolerance, "");
+            if (tolerance < 0) throw InvalidParameter(fmt::format("--tolerance {}: must be >= 0", c.tolerance));
+            return command_diff(c.files.at(0), c.files.at(1), tolerance, common);
+        };
+    }
+    {
+        Command& c = add("verify");
+        c.app->add_option("files", c.files, "scenes (.vdb) or manifests (.json)")->type_name("FILE")->required();
+        c.run = [&c](const Common& common) { return command_verify(c.files, common); };
+    }
+    {
+        Command& c = add("schema");
+        c.app->add_option("stage", c.stage, "one stage only")->type_name("STAGE");
+        c.app->add_flag("--markdown", c.markdown, "as a reference page for people");
+        c.run = [&c](const Common&) { return command_schema(c.stage, c.markdown); };
+    }
+    {
+        Command& c = add("completions");
+        c.app->add_option("shell", c.shell, "bash, zsh or fish")->type_name("SHELL")->required();
+        c.run = [&c](const Common&) { return command_completions(c.shell); };
+    }
+}
+
+/// Adds the nearest known option or command to CLI11's message about an unknown one.
+std::string helped(const CLI::ParseError& error, const CLI::App& program, int argc, char** argv)
+{
+    std::string message = error.what();
+    std::vector<std::string> known;
+    const CLI::App* app = &program;
+    for (const CLI::App* sub : program.get_subcommands()) app = sub;
+    for (const CLI::Option* option : app->get_options())
+        for (const std::string& name : option->get_lnames()) known.push_back("--" + name);
+    for (const CLI::App* sub : app->get_subcommands(nullptr)) known.push_back(sub->get_name());
+    for (int i = 1; i < argc; ++i) {
+        std::string word = argv[i];
+        word = word.substr(0, word.find('='));
+        if (word.size() < 2 || message.find(word) == std::string::npos) continue;
+        if (std::find(known.begin(), known.end(), word) != known.end()) continue;
+        const std::string near = nearest_name(word, known);
+        if (!near.empty()) return fmt::format("{}; did you mean '{}'?", message, near);
+    }
+    return message;
+}
+
+void complain(const std::string& text)
+{
+    clear_progress_line();
+    const char *red = use_colour() ? "\033[31m" : "", *plain = use_colour() ? "\033[0m" : "";
+    const std::string line = fmt::format("{}error:{} {}\n", red, plain, text);
+    std::fwrite(line.data(), 1, line.size(), stderr);
+}
+
+int parse_and_run(int argc, char** argv)
+{
+    CLI::App program{"Sekitei grows natural scenery from its causes: lava cools, rock splits into columns, weather breaks them.", "sekitei"};
+    program.set_version_flag("--version", std::string("sekitei ") + SEKITEI_VERSION);
+    program.require_subcommand(1);
+    program.get_formatter()->column_width(30);
+    Commands commands;
+    for (const StageInfo& info : stage_infos()) add_stage_command(program, commands, info);
+    add_tool_commands(program, commands);
+    try {
+        program.parse(argc, argv);
+    } catch (const CLI::Success& success) {  // --help, --version
+        return program.exit(success);
+    } catch (const CLI::ParseError& error) {
+        throw InvalidParameter(helped(error, program, argc, argv) + "; see sekitei --help");
+    }
+    for (const auto& command : commands) {
+        if (!command->app->parsed()) continue;
+        std::size_t threads = 0;
+        const Common common = understood(command->common, threads);
+        const ThreadLimit limit(threads);
+        return command->run(common);
+    }
+    return static_cast<int>(ExitCode::Usage);
+}
+
+}  // namespace
+
+int run_command_line(int argc, char** argv)
+{
+    install_signal_handlers();
+    log::set_sink([](log::Level level, const std::string& line) {
+        clear_progress_line();
+        const char *yellow = use_colour() ? "\033[33m" : "", *plain = use_colour() ? "\033[0m" : "";
+        const std::string text = level == log::Level::Warning ? fmt::format("{}warning:{} {}\n", yellow, plain, line) : line + "\n";
+        std::fwrite(text.data(), 1, text.size(), stderr);
+    });
+    try {
+        return parse_and_run(argc, argv);
+    } catch (const Cancelled&) {
+        complain("interrupted; nothing half-written is left, `sekitei run` goes on where it stopped");
+        return interrupted_exit_code();
+    } catch (const Error& error) {
+        complain(error.what());
+        return static_cast<int>(error.code());
+    } catch (const std::bad_alloc&) {
+        complain("out of memory; make the voxels larger or give the process more memory");
+        return static_cast<int>(ExitCode::Limit);
+    } catch (const std::exception& error) {
+        complain(fmt::format("this is a bug in Sekitei: {}", error.what()));
+        return static_cast<int>(ExitCode::Bug);
+    }
+}
+
+}  // namespace sekitei::apps

@@ -1,0 +1,188 @@
+#include <unistd.h>
+
+#include <algorithm>
+#include <optional>
+
+#include "apps/commands/commands.h"
+#include "apps/console.h"
+#include "apps/recipe.h"
+#include "apps/runner.h"
+#include "apps/stage.h"
+#include "core/error.h"
+#include "core/file_output.h"
+#include "core/log.h"
+#include "core/mesh_io.h"
+#include "grids/vdb_file.h"
+
+namespace sekitei::apps {
+namespace {
+
+namespace fs = std::filesystem;
+
+const std::vector<std::string> kMeshSuffixes{".ply", ".obj", ".stl", ".off", ".glb"};
+
+bool is_mesh_name(const std::string& name)
+{
+    const std::string suffix = fs::path(name).extension().string();
+    return std::find(kMeshSuffixes.begin(), kMeshSuffixes.end(), suffix) != kMeshSuffixes.end();
+}
+
+/// Refuses now what could not be written later.
+void check_outputs(const StageInfo& info, const Common& common)
+{
+    if (common.output.empty())
+        throw InvalidParameter(fmt::format("{}: say where the result goes with -o FILE (or -o - for standard output)", info.name));
+    for (const std::string& name : common.output) {
+        if (name == "-") {
+            if (common.json) throw InvalidParameter("--json and -o - both want standard output");
+            if (info.output != OutputKind::Picture && ::isatty(STDOUT_FILENO))
+                throw InvalidParameter("-o - writes binary data: pipe it into another command or a file");
+            continue;
+        }
+        const std::string suffix = fs::path(name).extension().string();
+        const bool fits = info.output == OutputKind::Picture ? suffix == ".png"
+                          : info.output == OutputKind::Mesh  ? is_mesh_name(name) || suffix == ".vdb"
+                                                             : suffix == ".vdb";
+        if (!fits)
+            throw InvalidParameter(fmt::format("-o {}: `{}` writes {}", name, info.name,
+                                               info.output == OutputKind::Picture ? ".png"
+                                               : info.output == OutputKind::Mesh ? ".ply, .obj, .stl, .off, .glb or .vdb"
+                                                                                 : ".vdb"));
+        check_target(name);
+        if (!common.force && fs::exists(name))
+            throw InvalidParameter(fmt::format("{} exists; replace it with --force", name));
+    }
+}
+
+/// Reads what a stage works on: a scene, and for pictures a mesh file as well.
+Scene read_input(Stage& stage, const std::string& name, const Common& common)
+{
+    ReadOptions options;
+    options.fix_nan = common.fix_nan;
+    options.memory_limit = common.memory_limit;
+    if (stage.info().output != OutputKind::Scene) {
+        // Nothing is passed on, so only what is needed is loaded.
+        for (const std::string& need : stage.needs()) options.only.insert(need);
+        options.keep_foreign = false;
+    }
+    auto as_mesh = [&](TriMesh mesh) {
+        Scene scene;
+        scene.meshes["rock"] = std::move(mesh);
+        return scene;
+    };
+    if (name == "-") {
+        std::string start(3, '\0');
+        std::size_t got = 0;
+        while (got < 3) {
+            const ssize_t n = ::read(STDIN_FILENO, start.data() + got, 3 - got);
+            if (n <= 0) throw InvalidInput("standard input is empty; expected a scene from another command");
+            got += static_cast<std::size_t>(n);
+        }
+        if (start != "ply") return read_vdb_stream(STDIN_FILENO, options, start);
+        std::string bytes = start;
+        char block[1 << 16];
+        for (ssize_t n; (n = ::read(STDIN_FILENO, block, sizeof block)) > 0;) bytes.append(block, static_cast<std::size_t>(n));
+        return as_mesh(decode_ply(bytes, "standard input"));
+    }
+    if (is_mesh_name(name)) {
+        if (stage.info().output != OutputKind::Picture)
+            throw InvalidInput(fmt::format("{}: `{}` reads scenes (.vdb); make one with `sekitei lava --preset mesh --mesh {}`",
+                                           name, stage.info().name, name));
+        MeshReadReport report;
+        TriMesh mesh = read_mesh(name, &report);
+        for (const std::string& warning : report.warnings) log::warning("{}", warning);
+        return as_mesh(std::move(mesh));
+    }
+    Scene scene;
+    if (stage.info().output == OutputKind::Picture && options.only.contains("rock")) {
+        // A picture of a scene file: extract its surface on the way.
+        auto mesh_stage = make_stage("mesh");
+        options.only.clear();
+        for (const std::string& need : mesh_stage->needs()) options.only.insert(need);
+        scene = read_vdb(name, options);
+        StageContext context;
+        context.progress = console_progress("mesh");
+        mesh_stage->run(scene, context);
+        return scene;
+    }
+    return read_vdb(name, options);
+}
+
+void write_to_stdout(const std::string& bytes)
+{
+    for (std::size_t done = 0; done < bytes.size();) {
+        const ssize_t n = ::write(STDOUT_FILENO, bytes.data() + done, bytes.size() - done);
+        if (n <= 0) throw IoError(fmt::format("cannot write to standard output: {}", std::strerror(errno)));
+        done += static_cast<std::size_t>(n);
+    }
+}
+
+void write_result(Stage& stage, const Scene& scene, const std::string& name)
+{
+    switch (stage.info().output) {
+        case OutputKind::Picture:
+            if (name == "-") write_to_stdout(encode_png(stage.picture));
+            else write_png(name, stage.picture);
+            return;
+        case OutputKind::Mesh:
+            if (name == "-") return write_to_stdout(encode_mesh(scene.meshes.at("rock"), ".ply"));
+            if (is_mesh_name(name)) return write_mesh(name, scene.meshes.at("rock"));
+            write_mesh(fs::path(name).replace_extension(".ply"), scene.meshes.at("rock"));
+            write_vdb(name, scene);
+            return;
+        case OutputKind::Scene:
+            if (name == "-") write_vdb_stream(STDOUT_FILENO, scene);
+            else write_vdb(name, scene);
+    }
+}
+
+}  // namespace
+
+int command_stage(const std::string& name, const std::vector<std::string>& inputs, const Words& words,
+                  const Common& common)
+{
+    const auto stage = make_stage(name);
+    const ParamList params = stage->params();
+    if (!common.params_file.empty()) apply_params_file(common.params_file, params);
+    for (const auto& [param, word] : words) {
+        try {
+            find_param(params, param)->set_text(word);
+        } catch (const InvalidParameter& error) {
+            throw InvalidParameter(fmt::format("{} --{}: {}", name, option_name(param), error.what()));
+        }
+    }
+    stage->validate();
+    if (inputs.empty() && stage->info().reads_scene)
+        throw InvalidParameter(fmt::format("{}: which scene? give a .vdb file, or - for standard input", name));
+    if (!inputs.empty() && !stage->info().reads_scene)
+        throw InvalidParameter(fmt::format("{}: reads no scene, but '{}' was given", name, inputs.front()));
+    check_outputs(stage->info(), common);
+
+    StageContext context;
+    context.seed = common.seed;
+    context.progress = console_progress(name);
+    context.memory_limit = common.memory_limit;
+    context.fix_nan = common.fix_nan;
+    context.folder = ".";
+    Scene scene;
+    if (!inputs.empty()) scene = read_input(*stage, inputs.front(), common);
+    const HistoryEntry entry = history_of(*stage, context);
+    for (const std::string& made : stage->info().makes) {  // replaced, or gone if not made this time
+        scene.grids.erase(made);
+        scene.points.erase(made);
+    }
+    const Json summary = stage->run(scene, context);
+    clear_progress_line();
+    if (stage->info().output == OutputKind::Scene) scene.history.push_back(entry);
+
+    Json outputs = Json::array();
+    for (const std::string& target : common.output) {
+        write_result(*stage, scene, target);
+        if (target != "-") outputs.push_back(describe_output(target, target, name));
+    }
+    if (common.json)
+        print(Json{{"stage", name}, {"seed", common.seed}, {"params", params_json(params)}, {"summary", summary}, {"outputs", outputs}}.dump(2) + "\n");
+    return 0;
+}
+
+}  // namespace sekitei::apps

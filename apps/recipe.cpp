@@ -1,0 +1,422 @@
+#include "apps/recipe.h"
+
+#define TOML_HEADER_ONLY 0
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <toml++/toml.h>
+
+#include <algorithm>
+#include <map>
+#include <set>
+
+#include "core/error.h"
+#include "core/file_output.h"
+
+namespace sekitei::apps {
+namespace {
+
+constexpr std::uint64_t kLargestRecipe = 4u << 20;
+
+/// Collects everything that is wrong, to be told at once.
+class Errors {
+public:
+    explicit Errors(std::string file) : file_(std::move(file)) {}
+
+    std::string place(const toml::source_region& source) const
+    {
+        return fmt::format("{}:{}:{}", file_, source.begin.line, source.begin.column);
+    }
+    void add(const toml::source_region& source, const std::string& text)
+    {
+        found_[{source.begin.line, source.begin.column, found_.size()}] = place(source) + ": " + text;
+    }
+    void add(const std::string& where, const std::string& text)
+    {
+        found_[{0xFFFFFFFFu, 0, found_.size()}] = where + ": " + text;
+    }
+    bool any() const { return !found_.empty(); }
+    void raise() const
+    {
+        if (!any()) return;
+        std::vector<std::string> lines;
+        for (const auto& [key, line] : found_) lines.push_back(line);
+        throw InvalidParameter(fmt::format("{}", fmt::join(lines, "\n")));
+    }
+
+private:
+    std::string file_;
+    std::map<std::tuple<std::uint32_t, std::uint32_t, std::size_t>, std::string> found_;
+};
+
+/// A TOML value as the neutral form that parameters take; throws for dates and tables.
+Json to_json(const toml::node& node)
+{
+    if (const auto* v = node.as_string()) return v->get();
+    if (const auto* v = node.as_integer()) return v->get();
+    if (const auto* v = node.as_floating_point()) {
+        if (!std::isfinite(v->get())) throw InvalidParameter("is not a finite number");
+        return v->get();
+    }
+    if (const auto* v = node.as_boolean()) return v->get();
+    if (const auto* v = node.as_array()) {
+        Json list = Json::array();
+        for (const toml::node& element : *v) list.push_back(to_json(element));
+        return list;
+    }
+    throw InvalidParameter("is a table or a date, expected a number, text, true, false or a list");
+}
+
+std::vector<std::string> strings_of(const toml::node& node, const std::string& key)
+{
+    std::vector<std::string> list;
+    if (const auto* one = node.as_string()) return {one->get()};
+    if (const auto* many = node.as_array()) {
+        for (const toml::node& element : *many) {
+            const auto* text = element.as_string();
+            if (!text) throw InvalidParameter(key + " must be a name or a list of names");
+            list.push_back(text->get());
+        }
+        return list;
+    }
+    throw InvalidParameter(key + " must be a name or a list of names");
+}
+
+std::uint64_t seed_of(const toml::node& node)
+{
+    const auto* v = node.as_integer();
+    if (!v || v->get() < 0) throw InvalidParameter("seed must be an integer, 0 or larger");
+    return static_cast<std::uint64_t>(v->get());
+}
+
+/// The tables and keys of one level in the order of the file; toml++ keeps them by name.
+std::vector<std::pair<std::string, const toml::node*>> in_file_order(const toml::table& table)
+{
+    std::vector<std::pair<std::string, const toml::node*>> entries;
+    for (const auto& [key, node] : table) entries.emplace_back(std::string(key.str()), &node);
+    std::stable_sort(entries.begin(), entries.end(), [](const auto& a, const auto& b) {
+        const auto &p = a.second->source().begin, &q = b.second->source().begin;
+        return std::tie(p.line, p.column) < std::tie(q.line, q.column);
+    });
+    return entries;
+}
+
+toml::table parse(const std::filesystem::path& file)
+{
+    std::string text;
+    try {
+        text = read_file(file, kLargestRecipe);
+    } catch (const InvalidInput& error) {
+        throw InvalidParameter(error.what());  // a recipe is part of the command line
+    }
+    try {
+        return toml::parse(text, file.string());
+    } catch (const toml::parse_error& error) {
+        throw InvalidParameter(fmt::format("{}:{}:{}: {}", file.string(), error.source().begin.line,
+                                           error.source().begin.column, error.description()));
+    }
+}
+
+const std::vector<std::string>& extensions_of(OutputKind kind)
+{
+    static const std::vector<std::string> kScene{".vdb"}, kMesh{".ply", ".obj", ".stl", ".off", ".glb", ".vdb"},
+        kPicture{".png"};
+    return kind == OutputKind::Scene ? kScene : kind == OutputKind::Mesh ? kMesh : kPicture;
+}
+
+/// What a user wrote for a stage, before links between stages are known.
+struct Draft {
+    RecipeStage stage;
+    std::vector<std::string> from;
+    bool from_given = false;
+    toml::source_region source;
+};
+
+/// Fills a draft from its table.
+void read_stage(const std::string& name, const toml::table& table, std::uint64_t seed, Draft& draft, Errors& errors)
+{
+    draft.stage.name = name;
+    draft.stage.seed = seed;
+    draft.source = table.source();
+    draft.stage.place = errors.place(table.source());
+    std::string process = name;
+    if (const toml::node* node = table.get("stage")) {
+        if (const auto* text = node->as_string()) process = text->get();
+        else return errors.add(node->source(), fmt::format("{}.stage: must be the name of a stage", name));
+    }
+    try {
+        draft.stage.process = make_stage(process);
+    } catch (const Error& error) {
+        const toml::node* node = table.get("stage");
+        return errors.add(node ? node->source() : table.source(), fmt::format("{}: {}", name, error.what()));
+    }
+    const ParamList params = draft.stage.process->params();
+    for (const auto& [key, node] : in_file_order(table)) {
+        const std::string where = name + "." + key;
+        try {
+            if (key == "stage") continue;
+            if (key == "from") {
+                draft.from = strings_of(*node, "from");
+                draft.from_given = true;
+            }
+            else if (key == "write")
+                draft.stage.write = strings_of(*node, "write");
+            else if (key == "seed")
+                draft.stage.seed = seed_of(*node);
+            else if (const Param* param = find_param(params, key))
+                param->set(to_json(*node));
+            else {
+                std::vector<std::string> known{"stage", "from", "write", "seed"};
+                for (const Param& p : params) known.push_back(p.name);
+                const std::string near = nearest_name(key, known);
+                errors.add(node->source(),
+                           fmt::format("{}: unknown key; {}", where,
+                                       near.empty() ? fmt::format("the keys of `{}` are: {}", process,
+                                                                  fmt::join(known, ", "))
+                                                    : fmt::format("did you mean '{}'?", near)));
+            }
+        } catch (const Error& error) {
+            errors.add(node->source(), fmt::format("{}: {}", name, error.what()));
+        }
+    }
+    try {
+        draft.stage.process->validate();
+    } catch (const Error& error) {
+        errors.add(table.source(), error.what());
+    }
+}
+
+/// Orders the drafts so that each follows what it reads; reports unknown names and cycles.
+std::vector<std::size_t> sorted(const std::vector<Draft>& drafts, Errors& errors)
+{
+    std::map<std::string, std::size_t> index;
+    for (std::size_t i = 0; i < drafts.size(); ++i) index[drafts[i].stage.name] = i;
+    std::vector<std::vector<std::size_t>> parents(drafts.size());
+    std::vector<std::string> names;
+    for (const Draft& d : drafts) names.push_back(d.stage.name);
+    for (std::size_t i = 0; i < drafts.size(); ++i)
+        for (const std::string& parent : drafts[i].from) {
+            if (index.contains(parent)) {
+                parents[i].push_back(index[parent]);
+                continue;
+            }
+            const std::string near = nearest_name(parent, names);
+            errors.add(drafts[i].source,
+                       fmt::format("{}.from: there is no stage '{}'{}", drafts[i].stage.name, parent,
+                                   near.empty() ? "" : fmt::format(", did you mean '{}'?", near)));
+        }
+    std::vector<std::size_t> order;
+    std::vector<bool> placed(drafts.size(), false);
+    for (bool moved = true; moved;) {
+        moved = false;
+        for (std::size_t i = 0; i < drafts.size(); ++i) {
+            if (placed[i]) continue;
+            if (!std::all_of(parents[i].begin(), parents[i].end(), [&](std::size_t p) { return placed[p]; }))
+                continue;
+            placed[i] = moved = true;
+            order.push_back(i);
+        }
+    }
+    std::vector<std::string> circle;
+    for (std::size_t i = 0; i < drafts.size(); ++i)
+        if (!placed[i]) circle.push_back(drafts[i].stage.name);
+    if (!circle.empty())
+        errors.add(drafts[index[circle.front()]].source,
+                   fmt::format("{}.from: these stages wait for each other: {}", circle.front(),
+                               fmt::join(circle, ", ")));
+    return order;
+}
+
+/// Every grid, point set and mesh that a stage needs must be made by something it reads.
+void check_supplies(const Recipe& recipe, Errors& errors)
+{
+    std::vector<std::set<std::string>> visible(recipe.stages.size());
+    for (std::size_t i = 0; i < recipe.stages.size(); ++i) {
+        const RecipeStage& stage = recipe.stages[i];
+        for (const std::size_t parent : stage.from) visible[i].insert(visible[parent].begin(), visible[parent].end());
+        for (const std::string& need : stage.process->needs()) {
+            if (visible[i].contains(need)) continue;
+            std::string maker;
+            for (const StageInfo& info : stage_infos())
+                for (const std::string& made : info.makes)
+                    if (made == need) maker = info.name;
+            errors.add(stage.place,
+                       fmt::format("{}: needs '{}', which no stage it reads makes{}", stage.name, need,
+                                   maker.empty() ? "" : fmt::format("; add a `{}` stage before it", maker)));
+        }
+        for (const std::string& made : stage.process->info().makes) visible[i].insert(made);
+    }
+}
+
+/// File names must suit the stage, stay inside the output folder and be used once.
+void check_writes(const Recipe& recipe, Errors& errors)
+{
+    std::map<std::string, std::string> owner;
+    for (const RecipeStage& stage : recipe.stages)
+        for (const std::string& name : stage.write) {
+            const std::filesystem::path path(name);
+            const auto& allowed = extensions_of(stage.process->info().output);
+            if (std::find(allowed.begin(), allowed.end(), path.extension().string()) == allowed.end())
+                errors.add(stage.place, fmt::format("{}.write: '{}' must end in one of: {}", stage.name, name,
+                                                    fmt::join(allowed, ", ")));
+            const std::string plain = path.lexically_normal().string();
+            if (path.is_absolute() || plain.starts_with(".."))
+                errors.add(stage.place, fmt::format("{}.write: '{}' must lie inside the output folder", stage.name, name));
+            if (plain == "manifest.json" || plain.starts_with(".sekitei"))
+                errors.add(stage.place, fmt::format("{}.write: '{}' is a name the program uses itself", stage.name, name));
+            const auto [other, is_new] = owner.emplace(plain, stage.name);
+            if (!is_new)
+                errors.add(stage.place, fmt::format("{}.write: '{}' is already written by the stage '{}'", stage.name,
+                                                    name, other->second));
+        }
+}
+
+/// Applies "a.b=value" to the parsed table, typed like TOML and, failing that, as text.
+void apply_override(toml::table& root, const std::string& text)
+{
+    const std::size_t equals = text.find('=');
+    if (equals == std::string::npos || equals == 0)
+        throw InvalidParameter(fmt::format("--set {}: expected stage.key=value", text));
+    const std::string path = text.substr(0, equals), value = text.substr(equals + 1);
+    toml::table parsed;
+    try {
+        parsed = toml::parse("v = " + value);
+    } catch (const toml::parse_error&) {
+        parsed = toml::table{{"v", value}};
+    }
+    toml::table* target = &root;
+    std::string key = path;
+    if (const std::size_t dot = path.find('.'); dot != std::string::npos) {
+        const std::string stage = path.substr(0, dot);
+        key = path.substr(dot + 1);
+        target = root.get_as<toml::table>(stage);
+        if (!target) {
+            std::vector<std::string> names;
+            for (const auto& [k, node] : root)
+                if (node.is_table()) names.emplace_back(k.str());
+            throw InvalidParameter(fmt::format("--set {}: the recipe has no stage '{}', it has: {}", text, stage,
+                                               fmt::join(names, ", ")));
+        }
+    }
+    target->insert_or_assign(key, *parsed.get("v"));
+}
+
+std::string toml_value(const Json& value)
+{
+    if (value.is_string()) return value.dump();
+    if (value.is_array()) {
+        std::vector<std::string> parts;
+        for (const Json& v : value) parts.push_back(toml_value(v));
+        return fmt::format("[{}]", fmt::join(parts, ", "));
+    }
+    return value.dump();
+}
+
+}  // namespace
+
+Recipe read_recipe(const std::filesystem::path& file, const std::vector<std::string>& overrides)
+{
+    toml::table root = parse(file);
+    for (const std::string& text : overrides) apply_override(root, text);
+
+    Errors errors(file.string());
+    Recipe recipe;
+    recipe.file = file;
+    recipe.folder = file.has_parent_path() ? file.parent_path() : ".";
+    recipe.out = "out/" + file.stem().string();
+    const toml::node* version = root.get("sekitei");
+    if (!version) errors.add(file.string() + ":1:1", "sekitei: missing, expected `sekitei = 1` at the top");
+    else if (const auto* v = version->as_integer(); !v || v->get() != 1)
+        errors.add(version->source(), "sekitei: recipes of this program have the version 1");
+
+    std::vector<Draft> drafts;
+    for (const auto& [key, node] : in_file_order(root)) {
+        try {
+            if (key == "sekitei") continue;
+            if (key == "seed") recipe.seed = seed_of(*node);
+            else if (key == "out") recipe.out = strings_of(*node, "out").at(0);
+            else if (!node->is_table())
+                errors.add(node->source(),
+                           fmt::format("{}: unknown key; the keys before the first table are sekitei, seed, out", key));
+        } catch (const std::exception& error) {
+            errors.add(node->source(), fmt::format("{}: {}", key, error.what()));
+        }
+    }
+    for (const auto& [key, node] : in_file_order(root)) {
+        const toml::table* table = node->as_table();
+        if (!table) continue;
+        drafts.emplace_back();
+        read_stage(key, *table, recipe.seed, drafts.back(), errors);
+    }
+    // By default a stage reads the one above it.
+    for (std::size_t i = 1; i < drafts.size(); ++i)
+        if (!drafts[i].from_given && drafts[i].stage.process && drafts[i].stage.process->info().reads_scene)
+            drafts[i].from = {drafts[i - 1].stage.name};
+    for (const Draft& draft : drafts)
+        if (draft.stage.process && !draft.stage.process->info().reads_scene && !draft.from.empty())
+            errors.add(draft.source, fmt::format("{}.from: the stage '{}' reads no other", draft.stage.name,
+                                                 draft.stage.process->info().name));
+    if (drafts.empty()) errors.add(file.string() + ":1:1", "the recipe has no stage, expected tables such as [lava]");
+
+    const std::vector<std::size_t> order = sorted(drafts, errors);
+    errors.raise();
+    std::map<std::string, std::size_t> position;
+    for (const std::size_t i : order) {
+        Draft& draft = drafts[i];
+        for (const std::string& parent : draft.from) draft.stage.from.push_back(position.at(parent));
+        position[draft.stage.name] = recipe.stages.size();
+        recipe.stages.push_back(std::move(draft.stage));
+    }
+    check_supplies(recipe, errors);
+    check_writes(recipe, errors);
+    errors.raise();
+    return recipe;
+}
+
+void apply_params_file(const std::filesystem::path& file, const ParamList& params)
+{
+    const toml::table table = parse(file);
+    Errors errors(file.string());
+    for (const auto& [key, node] : in_file_order(table)) {
+        try {
+            if (const Param* param = find_param(params, key)) {
+                param->set(to_json(*node));
+                continue;
+            }
+            std::vector<std::string> known;
+            for (const Param& p : params) known.push_back(p.name);
+            const std::string near = nearest_name(key, known);
+            errors.add(node->source(), fmt::format("{}: unknown key{}", key,
+                                                   near.empty() ? "" : fmt::format(", did you mean '{}'?", near)));
+        } catch (const Error& error) {
+            errors.add(node->source(), error.what());
+        }
+    }
+    errors.raise();
+}
+
+std::string recipe_from_history(const std::vector<HistoryEntry>& history, const std::string& output, bool every_value)
+{
+    std::string text = "sekitei = 1\n";
+    std::map<std::string, int> used;
+    for (std::size_t i = 0; i < history.size(); ++i) {
+        const HistoryEntry& entry = history[i];
+        const auto stage = make_stage(entry.stage);
+        const int repeat = ++used[entry.stage];
+        const std::string name = repeat == 1 ? entry.stage : fmt::format("{}_{}", entry.stage, repeat);
+        text += fmt::format("\n[{}]\n", name);
+        if (repeat > 1) text += fmt::format("stage = \"{}\"\n", entry.stage);
+        text += fmt::format("seed = {}\n", entry.seed);
+        for (const Param& param : stage->params()) {
+            if (!entry.params.contains(param.name)) continue;
+            const Json& value = entry.params[param.name];
+            if (value.is_null() || (!every_value && value == param.get())) continue;
+            if (param.kind == Param::Kind::Path && value == "") continue;
+            text += fmt::format("{} = {}{}\n", param.name, toml_value(value),
+                                param.unit.empty() ? "" : "  # " + param.unit);
+        }
+        if (i + 1 == history.size()) text += fmt::format("write = {}\n", Json(output).dump());
+    }
+    return text;
+}
+
+}  // namespace sekitei::apps

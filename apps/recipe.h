@@ -1,0 +1,44 @@
+#pragma once
+
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "apps/stage.h"
+
+namespace sekitei::apps {
+
+/// A stage of a recipe: one table.
+struct RecipeStage {
+    std::string name;                ///< of the table
+    std::unique_ptr<Stage> process;  ///< with the table's parameters set
+    std::vector<std::size_t> from;   ///< indices of the stages it reads
+    std::vector<std::string> write;  ///< file names inside the output folder
+    std::uint64_t seed = 1;
+    std::string place;               ///< "cliff.toml:12:1" for messages
+};
+
+/// A graph of stages, in an order in which each follows those it reads.
+struct Recipe {
+    std::filesystem::path file, folder;  ///< folder: where relative input paths start
+    std::filesystem::path out;           ///< relative to the working directory
+    std::uint64_t seed = 1;
+    std::vector<RecipeStage> stages;
+};
+
+/// Reads and checks a whole recipe: syntax, keys, types, ranges, graph, inputs, file names.
+/// @param overrides  "joint.spacing=30cm", "out=elsewhere", "seed=3"
+/// @throws InvalidParameter  all errors at once, one a line: `file:line:column: key: found, expected`
+/// @throws InvalidInput      the recipe file cannot be read
+Recipe read_recipe(const std::filesystem::path& file, const std::vector<std::string>& overrides);
+
+/// Sets the parameters of a stage from a TOML file of `key = value` lines (or a recipe's stage table).
+void apply_params_file(const std::filesystem::path& file, const ParamList& params);
+
+/// The recipe text that repeats a history and writes `output`.
+std::string recipe_from_history(const std::vector<HistoryEntry>& history, const std::string& output,
+                                bool every_value);
+
+}  // namespace sekitei::apps

@@ -1,0 +1,701 @@
+#include "apps/runner.h"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <sys/file.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <map>
+
+#include "apps/console.h"
+#include "core/error.h"
+#include "core/file_output.h"
+#include "core/hash.h"
+#include "core/log.h"
+#include "core/mesh_io.h"
+#include "grids/vdb_file.h"
+
+namespace sekitei::apps {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr int kCacheVersion = 1;
+constexpr std::size_t kKeptResults = 4;  // older results of a stage that stay for going back and forth
+
+double seconds_now()
+{
+    return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+/// A grid, point set or mesh that a stage can see: who made it, with which content.
+struct Item {
+    std::size_t maker;
+    std::string hash;
+};
+using Items = std::map<std::string, Item>;
+
+std::string mesh_hash(const TriMesh& mesh) { return hash_hex(encode_mesh(mesh, ".ply")); }
+
+Json domain_json(const Domain& d)
+{
+    return {d.dims.x, d.dims.y, d.dims.z, d.transform.origin.x, d.transform.origin.y, d.transform.origin.z, d.transform.voxel};
+}
+
+Domain domain_from(const Json& j)
+{
+    return {{j[0], j[1], j[2]}, {{j[3], j[4], j[5]}, j[6]}};
+}
+
+/// Exclusive use of an output folder while it lives.
+class FolderLock {
+public:
+    explicit FolderLock(const fs::path& folder)
+    {
+        file_ = ::open((folder / "lock").c_str(), O_CREAT | O_RDWR | O_CLOEXEC, 0666);
+        if (file_ < 0) throw IoError(fmt::format("cannot write into {}: {}", folder.string(), std::strerror(errno)));
+        if (::flock(file_, LOCK_EX | LOCK_NB) != 0) {
+            ::close(file_);
+            throw IoError(fmt::format("{} is in use by another run; wait for it or choose another folder with "
+                                      "--set out=FOLDER", folder.parent_path().string()));
+        }
+    }
+    ~FolderLock() { ::close(file_); }
+    FolderLock(const FolderLock&) = delete;
+    FolderLock& operator=(const FolderLock&) = delete;
+
+private:
+    int file_;
+};
+
+/// What is kept of one finished stage.
+struct Record {
+    Json json;  // null: there is none
+
+    bool exists() const { return !json.is_null(); }
+    std::map<std::string, std::string> outputs() const
+    {
+        return json["outputs"].get<std::map<std::string, std::string>>();
+    }
+};
+
+class Runner {
+public:
+    Runner(const Recipe& recipe, const RunOptions& options)
+        : recipe_(recipe), options_(options), cache_(recipe.out / ".sekitei")
+    {
+    }
+
+    Json run()
+    {
+        select();
+        prepare();
+        Json stages = Json::array();
+        for (std::size_t i = 0; i < recipe_.stages.size(); ++i) {
+            if (!selected_[i]) continue;
+            stages.push_back(options_.dry_run ? plan(i) : perform(i));
+        }
+        Json summary = {{"recipe", recipe_.file.string()}, {"out", recipe_.out.string()}, {"stages", stages}};
+        if (!options_.dry_run) {
+            write_manifest();
+            sweep_cache();
+            summary["outputs"] = manifest_["outputs"];
+        }
+        return summary;
+    }
+
+private:
+    const RecipeStage& stage(std::size_t i) const { return recipe_.stages[i]; }
+
+    StageContext context(std::size_t i) const
+    {
+        StageContext c;
+        c.seed = stage(i).seed;
+        c.progress = console_progress(stage(i).name);
+        c.memory_limit = options_.memory_limit;
+        c.fix_nan = options_.fix_nan;
+        c.folder = recipe_.folder;
+        return c;
+    }
+
+    /// Marks the stages to run: all, or those asked for and what they read.
+    void select()
+    {
+        const std::size_t n = recipe_.stages.size();
+        selected_.assign(n, options_.only.empty());
+        std::set<std::string> unknown = options_.only;
+        for (std::size_t i = n; i-- > 0;) {
+            if (unknown.erase(stage(i).name)) selected_[i] = true;
+            if (selected_[i])
+                for (const std::size_t parent : stage(i).from) selected_[parent] = true;
+        }
+        if (unknown.empty()) return;
+        std::vector<std::string> names;
+        for (const RecipeStage& s : recipe_.stages) names.push_back(s.name);
+        throw InvalidParameter(fmt::format("--only {}: the recipe has no such stage, it has: {}", *unknown.begin(),
+                                           fmt::join(names, ", ")));
+    }
+
+    /// Everything that can fail early fails here, before anything is computed.
+    void prepare()
+    {
+        visible_.resize(recipe_.stages.size());
+        outlines_.resize(recipe_.stages.size());
+        records_.resize(recipe_.stages.size());
+        if (fs::exists(cache_ / "state.json")) state_ = read_json(cache_ / "state.json");
+        if (state_.is_null() || !state_.is_object()) state_ = Json::object();
+        if (options_.dry_run) return;
+
+        std::error_code error;
+        fs::create_directories(cache_, error);
+        if (error) throw IoError(fmt::format("cannot make the folder {}: {}", recipe_.out.string(), error.message()));
+        lock_ = std::make_unique<FolderLock>(cache_);
+        remove_stale_temporaries(cache_);
+        remove_stale_temporaries(recipe_.out);
+        for (std::size_t i = 0; i < recipe_.stages.size(); ++i) {
+            if (!selected_[i]) continue;
+            for (const std::string& name : stage(i).write) {
+                const fs::path target = recipe_.out / name;
+                if (target.has_parent_path()) fs::create_directories(target.parent_path(), error);
+                check_target(target);
+                refuse_foreign(target, name);
+            }
+        }
+    }
+
+    /// A file in the way must be one that an earlier run of this folder wrote, unless --force.
+    void refuse_foreign(const fs::path& target, const std::string& name)
+    {
+        if (options_.force || !fs::exists(target)) return;
+        const Json owned = state_.value("owned", Json::object());
+        if (owned.contains(name) && (owned[name] == "" || owned[name] == file_hash(target))) return;
+        throw InvalidParameter(fmt::format("{} exists and was not made by an earlier run here, or was changed since; "
+                                           "move it away or allow replacing with --force", target.string()));
+    }
+
+    static Json read_json(const fs::path& path)
+    {
+        try {
+            return Json::parse(read_file(path, 1u << 28));
+        } catch (const std::exception&) {
+            return nullptr;  // a damaged record is no record: the stage runs again
+        }
+    }
+
+    void save_state() const { write_file(cache_ / "state.json", state_.dump(1)); }
+
+    /// What stage i can see before it runs.
+    Items inherited(std::size_t i) const
+    {
+        Items items;
+        for (const std::size_t parent : stage(i).from)
+            for (const auto& [name, item] : visible_[parent]) {
+                const auto [old, is_new] = items.emplace(name, item);
+                if (is_new || old->second.hash == item.hash) continue;
+                throw InvalidParameter(fmt::format("{}: {}.from: both '{}' and '{}' bring a '{}', and they differ; "
+                                                   "read only one of them", stage(i).place, stage(i).name,
+                                                   stage(old->second.maker).name, stage(item.maker).name, name));
+            }
+        return items;
+    }
+
+    /// Stages that stage i builds on, in order, without itself.
+    std::vector<std::size_t> ancestors(std::size_t i) const
+    {
+        std::vector<bool> mark(i + 1, false);
+        for (const std::size_t parent : stage(i).from) mark[parent] = true;
+        for (std::size_t k = i; k-- > 0;)
+            if (mark[k])
+                for (const std::size_t parent : stage(k).from) mark[parent] = true;
+        std::vector<std::size_t> list;
+        for (std::size_t k = 0; k < i; ++k)
+            if (mark[k]) list.push_back(k);
+        return list;
+    }
+
+    std::vector<HistoryEntry> history(std::size_t i) const
+    {
+        std::vector<HistoryEntry> entries;
+        for (const std::size_t k : ancestors(i))
+            if (stage(k).process->info().output == OutputKind::Scene)
+                entries.push_back(history_of(*stage(k).process, context(k)));
+        if (stage(i).process->info().output == OutputKind::Scene)
+            entries.push_back(history_of(*stage(i).process, context(i)));
+        return entries;
+    }
+
+    /// What the key of stage i is made of. Parameters that an ancestor's history sets (the lava's preset) count too.
+    Json ingredients(std::size_t i, const Items& items) const
+    {
+        Json inputs = Json::object();
+        for (const std::string& need : stage(i).process->needs())
+            if (const auto found = items.find(need); found != items.end()) inputs[need] = found->second.hash;
+        Json preset = nullptr;
+        for (const std::size_t k : ancestors(i))
+            if (stage(k).process->info().name == "lava") preset = params_json(stage(k).process->params())["preset"];
+        return {{"cache", kCacheVersion},
+                {"stage", stage(i).process->info().name},
+                {"version", stage(i).process->info().version},
+                {"params", params_json(stage(i).process->params())},
+                {"seed", stage(i).seed},
+                {"inputs", inputs},
+                {"preset", preset},
+                {"files", input_hashes(*stage(i).process, context(i))}};
+    }
+
+    fs::path record_path(std::size_t i, const std::string& key) const
+    {
+        return cache_ / fmt::format("{}-{}.json", stage(i).name, key.substr(0, 16));
+    }
+    static const char* extension(OutputKind kind)
+    {
+        return kind == OutputKind::Scene ? ".vdb" : kind == OutputKind::Mesh ? ".ply" : ".png";
+    }
+    fs::path result_path(std::size_t i, const std::string& key) const
+    {
+        return cache_ / fmt::format("{}-{}{}", stage(i).name, key.substr(0, 16), extension(stage(i).process->info().output));
+    }
+
+    /// The record of a finished stage with this key, if its result file is whole.
+    Record find_record(std::size_t i, const std::string& key, std::string& reason) const
+    {
+        const fs::path path = record_path(i, key);
+        if (!fs::exists(path)) return {};
+        Record record{read_json(path)};
+        if (!record.exists() || record.json.value("key", "") != key) {
+            reason = "its kept result is damaged";
+            return {};
+        }
+        const fs::path result = result_path(i, key);
+        std::error_code error;
+        if (!fs::exists(result) || fs::file_size(result, error) != record.json.value("bytes", std::uint64_t{0})
+            || file_hash(result) != record.json.value("file_hash", "")) {
+            reason = "its kept result is missing or damaged";
+            return {};
+        }
+        return record;
+    }
+
+    /// Why a stage runs, compared with the last run in this folder.
+    std::string reason_to_run(std::size_t i, const Json& now) const
+    {
+        const Json last_runs = state_.value("last", Json::object());
+        if (!last_runs.contains(stage(i).name)) return "it has not run before";
+        const Json& last = last_runs[stage(i).name];
+        if (last["stage"] != now["stage"] || last["version"] != now["version"]) return "the process changed";
+        for (const auto& [name, value] : now["params"].items())
+            if (!last["params"].contains(name) || last["params"][name] != value)
+                return fmt::format("{} changed from {} to {}", name,
+                                   last["params"].contains(name) ? last["params"][name].dump() : "nothing", value.dump());
+        if (last["seed"] != now["seed"]) return "the seed changed";
+        for (const auto& [name, value] : now["files"].items())
+            if (!last["files"].contains(name) || last["files"][name] != value) return fmt::format("the file {} changed", name);
+        for (const auto& [name, value] : now["inputs"].items())
+            if (!last["inputs"].contains(name) || last["inputs"][name] != value) return fmt::format("its input {} changed", name);
+        if (last["preset"] != now["preset"]) return "the lava's preset changed";
+        return "its kept result is gone";
+    }
+
+    static std::string key_of(const Json& ingredients) { return hash_hex(ingredients.dump()); }
+
+    void adopt(std::size_t i, Items items, const Record& record)
+    {
+        for (const auto& [name, hash] : record.outputs()) items[name] = {i, hash};
+        visible_[i] = std::move(items);
+        records_[i] = record;
+        SceneOutline& outline = outlines_[i];
+        outline.domain = domain_from(record.json["domain"]);
+        outline.heat_domain = domain_from(record.json["heat_domain"]);
+        outline.lava_voxels = record.json.value("lava_voxels", 0.0);
+    }
+
+    SceneOutline inherited_outline(std::size_t i) const
+    {
+        SceneOutline outline;
+        for (const std::size_t parent : stage(i).from)
+            if (outlines_[parent].domain.dims.x > 0) outline = outlines_[parent];
+        return outline;
+    }
+
+    // ---- planning -------------------------------------------------------------------------
+
+    Json plan(std::size_t i)
+    {
+        SceneOutline outline = inherited_outline(i);
+        const Need need = stage(i).process->estimate(outline, context(i));
+        bool waits = false;
+        for (const std::size_t parent : stage(i).from) waits = waits || will_run_.contains(parent);
+        std::string reason, state = "run";
+        if (waits) {
+            reason = "what it reads is made anew";
+            will_run_.insert(i);
+            outlines_[i] = outline;
+            Items items;
+            for (const std::size_t parent : stage(i).from) items.insert(visible_[parent].begin(), visible_[parent].end());
+            visible_[i] = std::move(items);
+        }
+        else {
+            Items items = inherited(i);
+            const Json now = ingredients(i, items);
+            const Record record = find_record(i, key_of(now), reason);
+            if (record.exists()) {
+                state = "cached";
+                reason = "nothing changed";
+                adopt(i, std::move(items), record);
+            }
+            else {
+                if (reason.empty()) reason = reason_to_run(i, now);
+                will_run_.insert(i);
+                outlines_[i] = outline;
+                visible_[i] = std::move(items);
+            }
+        }
+        log::info("{:<12} {:<7} {:<44} {:>16} voxels {:>9} memory {:>9} disk", stage(i).name, state, reason,
+                  count_text(need.voxels), bytes_text(need.memory), bytes_text(need.disk));
+        return {{"name", stage(i).name}, {"state", state}, {"reason", reason}, {"voxels", need.voxels},
+                {"memory", need.memory}, {"disk", need.disk}};
+    }
+
+    // ---- running --------------------------------------------------------------------------
+
+    Json perform(std::size_t i)
+    {
+        const double start = seconds_now();
+        Items items = inherited(i);
+        for (const std::string& need : stage(i).process->needs())
+            if (!items.contains(need))
+                throw InvalidInput(fmt::format("{}: {} needs '{}', which the stages before it did not make", stage(i).place,
+                                               stage(i).name, need));
+        const Json now = ingredients(i, items);
+        const std::string key = key_of(now);
+        std::string reason;
+        Record record = find_record(i, key, reason);
+        const bool cached = record.exists();
+        if (cached) {
+            reason = "nothing changed";
+            adopt(i, std::move(items), record);
+            log::info("{:<12} unchanged", stage(i).name);
+        }
+        else {
+            if (reason.empty()) reason = reason_to_run(i, now);
+            log::detail("{}: {}", stage(i).name, reason);
+            record = compute(i, std::move(items), now, key, start);
+            log::info("{:<12} {:>8}  {}", stage(i).name, duration_text(seconds_now() - start), summary_text(record.json["summary"]));
+        }
+        state_["last"][stage(i).name] = now;
+        for (const std::string& name : stage(i).write) write_output(i, name);
+        release(i);
+        return {{"name", stage(i).name}, {"state", cached ? "cached" : "run"}, {"reason", reason},
+                {"seconds", seconds_now() - start}, {"summary", record.json["summary"]}};
+    }
+
+    static std::string summary_text(const Json& summary)
+    {
+        std::vector<std::string> parts;
+        for (const auto& [name, value] : summary.items()) {
+            if (value.is_number_float()) parts.push_back(fmt::format("{} {:.4g}", name, value.get<double>()));
+            else parts.push_back(fmt::format("{} {}", name, value.is_string() ? value.get<std::string>() : value.dump()));
+        }
+        return fmt::format("{}", fmt::join(parts, ", "));
+    }
+
+    Record compute(std::size_t i, Items items, const Json& now, const std::string& key, double start)
+    {
+        Stage& process = *stage(i).process;
+        for (const std::string& name : process.info().makes) drop(name);
+        for (const std::string& need : process.needs()) load(need, items.at(need));
+        const SceneOutline outline = inherited_outline(i);
+        scene_.domain = outline.domain;
+        scene_.heat_domain = outline.heat_domain;
+        scene_.history.clear();
+        for (const std::size_t k : ancestors(i))
+            if (stage(k).process->info().output == OutputKind::Scene)
+                scene_.history.push_back(history_of(*stage(k).process, context(k)));
+
+        StageContext c = context(i);
+        c.checkpoint = cache_ / fmt::format("{}-{}.checkpoint", stage(i).name, key.substr(0, 16));
+        const Json summary = process.run(scene_, c);
+        clear_progress_line();
+
+        // Keep the result: the file first, the record that vouches for it last.
+        const fs::path result = result_path(i, key);
+        std::map<std::string, std::string> outputs;
+        if (process.info().output == OutputKind::Picture) write_png(result, process.picture);
+        else if (process.info().output == OutputKind::Mesh) {
+            const TriMesh& mesh = scene_.meshes.at("rock");
+            const std::string bytes = encode_mesh(mesh, ".ply");
+            outputs["rock"] = hash_hex(bytes);
+            write_file(result, bytes);
+        }
+        else {
+            Scene part;
+            part.domain = scene_.domain;
+            part.heat_domain = scene_.heat_domain;
+            for (const std::string& name : process.info().makes) move_item(name, scene_, part);
+            try {
+                for (const auto& [name, grid] : part.grids) outputs[name] = content_hash(grid);
+                for (const auto& [name, points] : part.points) outputs[name] = content_hash(points);
+                write_vdb(result, part);
+            } catch (...) {
+                for (const std::string& name : process.info().makes) move_item(name, part, scene_);
+                throw;
+            }
+            for (const std::string& name : process.info().makes) move_item(name, part, scene_);
+        }
+        for (const auto& [name, hash] : outputs) in_memory_[name] = hash;
+
+        double lava_voxels = outline.lava_voxels;
+        if (process.info().name == "lava") lava_voxels = static_cast<double>(scene_.ints("region").active_count());
+        Record record{{{"key", key},
+                       {"stage", process.info().name},
+                       {"made_with", SEKITEI_VERSION},
+                       {"ingredients", now},
+                       {"outputs", outputs},
+                       {"bytes", static_cast<std::uint64_t>(fs::file_size(result))},
+                       {"file_hash", file_hash(result)},
+                       {"domain", domain_json(scene_.domain)},
+                       {"heat_domain", domain_json(scene_.heat_domain)},
+                       {"lava_voxels", lava_voxels},
+                       {"summary", summary},
+                       {"seconds", seconds_now() - start}}};
+        write_file(record_path(i, key), record.json.dump(1));
+        adopt(i, std::move(items), record);
+        return record;
+    }
+
+    static void move_item(const std::string& name, Scene& from, Scene& to)
+    {
+        if (auto node = from.grids.extract(name)) to.grids.insert(std::move(node));
+        if (auto node = from.points.extract(name)) to.points.insert(std::move(node));
+        if (auto node = from.meshes.extract(name)) to.meshes.insert(std::move(node));
+    }
+
+    void drop(const std::string& name)
+    {
+        scene_.grids.erase(name);
+        scene_.points.erase(name);
+        scene_.meshes.erase(name);
+        in_memory_.erase(name);
+    }
+
+    /// Brings an item with this very content into memory.
+    void load(const std::string& name, const Item& item)
+    {
+        const auto held = in_memory_.find(name);
+        if (held != in_memory_.end() && held->second == item.hash) return;
+        drop(name);
+        const std::string key = records_[item.maker].json["key"];
+        const fs::path result = result_path(item.maker, key);
+        if (stage(item.maker).process->info().output == OutputKind::Mesh)
+            scene_.meshes[name] = read_mesh_exactly(result);
+        else {
+            ReadOptions read;
+            read.only = {name};
+            read.memory_limit = options_.memory_limit;
+            read.check_hashes = false;  // the file's own hash was compared when the record was found
+            Scene part = read_vdb(result, read);
+            move_item(name, part, scene_);
+        }
+        in_memory_[name] = item.hash;
+    }
+
+    static TriMesh read_mesh_exactly(const fs::path& path) { return decode_ply(read_file(path, 1ull << 36), path.string()); }
+
+    /// Frees what no later stage or output file needs.
+    void release(std::size_t i)
+    {
+        std::set<std::string> wanted;
+        bool whole_scene = false;
+        for (std::size_t k = i + 1; k < recipe_.stages.size(); ++k) {
+            if (!selected_[k]) continue;
+            for (const std::string& need : stage(k).process->needs()) wanted.insert(need);
+            for (const std::string& name : stage(k).write) whole_scene = whole_scene || fs::path(name).extension() == ".vdb";
+        }
+        if (whole_scene) return;
+        std::vector<std::string> names;
+        for (const auto& [name, hash] : in_memory_)
+            if (!wanted.contains(name)) names.push_back(name);
+        for (const std::string& name : names) drop(name);
+    }
+
+    // ---- outputs --------------------------------------------------------------------------
+
+    void write_output(std::size_t i, const std::string& name)
+    {
+        const fs::path target = recipe_.out / name;
+        const std::string recipe_key = output_key(i, name);
+        const Json old = state_.value("outputs", Json::object());
+        const bool fresh = old.contains(name) && old[name].value("key", "") == recipe_key && fs::exists(target)
+                           && file_hash(target) == old[name].value("hash", "");
+        if (!fresh) {
+            // Say that the name is ours before the file exists, so that a killed run can go on.
+            state_["owned"][name] = "";
+            save_state();
+            produce(i, target);
+            state_["outputs"][name] = {{"key", recipe_key}, {"hash", file_hash(target)}};
+        }
+        state_["owned"][name] = state_["outputs"][name]["hash"];
+        save_state();
+        written_.push_back({name, i});
+    }
+
+    std::string output_key(std::size_t i, const std::string& name) const
+    {
+        Json content = {{"name", name}, {"key", records_[i].json["key"]}, {"program", SEKITEI_VERSION}};
+        if (fs::path(name).extension() == ".vdb") {
+            for (const auto& [item, where] : visible_[i]) content["items"][item] = where.hash;
+            for (const HistoryEntry& e : history(i)) content["history"].push_back({e.stage, e.params, e.seed, e.inputs});
+        }
+        return hash_hex(content.dump());
+    }
+
+    void produce(std::size_t i, const fs::path& target)
+    {
+        const OutputKind kind = stage(i).process->info().output;
+        const std::string suffix = target.extension().string();
+        if (kind == OutputKind::Picture) {
+            write_file(target, read_file(result_path(i, records_[i].json["key"])));
+        }
+        else if (suffix == ".vdb") {
+            Scene whole;
+            for (const auto& [name, item] : visible_[i])
+                if (stage(item.maker).process->info().output == OutputKind::Scene) load(name, item);
+            for (const auto& [name, item] : visible_[i]) move_item(name, scene_, whole);
+            whole.domain = outlines_[i].domain;
+            whole.heat_domain = outlines_[i].heat_domain;
+            whole.history = history(i);
+            auto give_back = [&] {
+                for (const auto& [name, item] : visible_[i]) move_item(name, whole, scene_);
+            };
+            try {
+                write_vdb(target, whole);
+            } catch (...) {
+                give_back();
+                throw;
+            }
+            give_back();
+        }
+        else {
+            load("rock", visible_[i].at("rock"));
+            write_mesh(target, scene_.meshes.at("rock"));
+        }
+    }
+
+    void write_manifest()
+    {
+        Json outputs = Json::array();
+        for (const auto& [name, i] : written_) outputs.push_back(describe_output(recipe_.out / name, name, stage(i).name));
+        Json stages = Json::array();
+        for (std::size_t i = 0; i < recipe_.stages.size(); ++i)
+            if (selected_[i])
+                stages.push_back({{"name", stage(i).name}, {"stage", stage(i).process->info().name}, {"seed", stage(i).seed},
+                                  {"key", records_[i].json["key"]}, {"summary", records_[i].json["summary"]}});
+        Json recipe_content = Json::array();
+        for (const Json& s : stages) recipe_content.push_back(s["key"]);
+        manifest_ = {{"sekitei", SEKITEI_VERSION}, {"recipe_hash", hash_hex(recipe_content.dump())},
+                     {"seed", recipe_.seed},       {"stages", stages}, {"outputs", outputs}};
+        write_file(recipe_.out / "manifest.json", manifest_.dump(2) + "\n");
+        save_state();
+    }
+
+    /// Keeps the results of this run and the few newest older ones of each stage.
+    void sweep_cache()
+    {
+        std::set<std::string> current;
+        for (std::size_t i = 0; i < recipe_.stages.size(); ++i)
+            if (records_[i].exists()) current.insert(record_path(i, records_[i].json["key"]).filename().string());
+        std::map<std::string, std::vector<std::pair<fs::file_time_type, fs::path>>> older;
+        for (const auto& entry : fs::directory_iterator(cache_)) {
+            const std::string name = entry.path().filename().string();
+            const std::size_t dash = name.rfind('-');
+            if (entry.path().extension() != ".json" || dash == std::string::npos || current.contains(name)) continue;
+            std::error_code error;
+            older[name.substr(0, dash)].emplace_back(entry.last_write_time(error), entry.path());
+        }
+        for (auto& [name, files] : older) {
+            std::sort(files.begin(), files.end(), std::greater<>());
+            for (std::size_t k = kKeptResults; k < files.size(); ++k)
+                for (const char* suffix : {".json", ".vdb", ".ply", ".png", ".checkpoint"}) {
+                    std::error_code error;
+                    fs::remove(fs::path(files[k].second).replace_extension(suffix), error);
+                }
+        }
+    }
+
+    const Recipe& recipe_;
+    RunOptions options_;
+    fs::path cache_;
+    std::unique_ptr<FolderLock> lock_;
+    std::vector<bool> selected_;
+    std::set<std::size_t> will_run_;
+    std::vector<Items> visible_;
+    std::vector<SceneOutline> outlines_;
+    std::vector<Record> records_;
+    Scene scene_;                                   // what is in memory now
+    std::map<std::string, std::string> in_memory_;  // and which content each item has
+    Json state_ = Json::object();
+    Json manifest_;
+    std::vector<std::pair<std::string, std::size_t>> written_;
+};
+
+}  // namespace
+
+Json run_recipe(const Recipe& recipe, const RunOptions& options) { return Runner(recipe, options).run(); }
+
+Json describe_output(const fs::path& path, const std::string& name, const std::string& stage)
+{
+    Json entry = {{"path", name},
+                  {"stage", stage},
+                  {"bytes", static_cast<std::uint64_t>(fs::file_size(path))},
+                  {"hash", file_hash(path)}};
+    const std::string suffix = path.extension().string();
+    if (suffix == ".vdb") {
+        entry["kind"] = "scene";
+        for (const VdbGridInfo& grid : inspect_vdb(path).grids) {
+            Json g = {{"name", grid.name}, {"type", grid.type}, {"unit", grid.unit}, {"class", grid.grid_class},
+                      {"active_voxels", grid.active_voxels}, {"voxel_m", grid.voxel}};
+            if (grid.active_voxels > 0)
+                g["bounds_m"] = {{grid.lower.x, grid.lower.y, grid.lower.z}, {grid.upper.x, grid.upper.y, grid.upper.z}};
+            entry["grids"].push_back(std::move(g));
+        }
+    }
+    else if (suffix == ".png")
+        entry["kind"] = "picture";
+    else {
+        entry["kind"] = "mesh";
+        entry["unit"] = "m";
+        entry["up"] = suffix == ".glb" ? "y" : "z";
+        if (suffix == ".ply") {
+            const Bounds b = decode_ply(read_file(path, 1ull << 36), name).bounds();
+            if (!b.empty()) entry["bounds_m"] = {{b.lower.x, b.lower.y, b.lower.z}, {b.upper.x, b.upper.y, b.upper.z}};
+        }
+    }
+    return entry;
+}
+
+std::vector<std::string> verify_manifest(const fs::path& manifest)
+{
+    Json json;
+    try {
+        json = Json::parse(read_file(manifest, 1u << 28));
+    } catch (const Json::exception& error) {
+        throw InvalidInput(fmt::format("{}: not a manifest: {}", manifest.string(), error.what()));
+    }
+    if (!json.is_object() || !json.contains("outputs") || !json["outputs"].is_array())
+        throw InvalidInput(fmt::format("{}: not a manifest, it has no list `outputs`", manifest.string()));
+    std::vector<std::string> wrong;
+    for (const Json& entry : json["outputs"]) {
+        if (!entry.contains("path") || !entry["path"].is_string() || !entry.contains("hash"))
+            throw InvalidInput(fmt::format("{}: an output without path or hash", manifest.string()));
+        const std::string name = entry["path"];
+        const fs::path path = manifest.parent_path() / name;
+        if (!fs::exists(path)) wrong.push_back(name + " (missing)");
+        else if (file_hash(path) != entry["hash"]) wrong.push_back(name);
+    }
+    return wrong;
+}
+
+}  // namespace sekitei::apps
