@@ -38,7 +38,6 @@ struct Item {
 };
 using Items = std::map<std::string, Item>;
 
-std::string mesh_hash(const TriMesh& mesh) { return hash_hex(encode_mesh(mesh, ".ply")); }
 
 Json domain_json(const Domain& d)
 {

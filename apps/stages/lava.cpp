@@ -1,5 +1,7 @@
 #include "solvers/lava/lava.h"
 
+#include <fmt/format.h>
+
 #include "apps/stages/stages.h"
 #include "core/error.h"
 #include "core/log.h"

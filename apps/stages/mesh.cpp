@@ -1,6 +1,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include <fmt/format.h>
+
 #include "apps/stages/stages.h"
 #include "core/error.h"
 #include "grids/marching_tetrahedra.h"

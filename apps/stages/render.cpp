@@ -1,5 +1,7 @@
 #include "apps/render/render.h"
 
+#include <fmt/format.h>
+
 #include "apps/stages/stages.h"
 #include "core/error.h"
 

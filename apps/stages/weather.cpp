@@ -1,3 +1,5 @@
+#include <fmt/format.h>
+
 #include "apps/stages/stages.h"
 #include "core/error.h"
 #include "core/image.h"
