@@ -64,6 +64,7 @@ struct Params {
     double base = 0;                           ///< lower side of the lava [m]
     std::filesystem::path mesh;
     double mesh_scale = 1;  ///< metres per unit of the file
+    std::filesystem::path volume;
     std::optional<double>
         margin;  ///< cold surroundings of a body from a file [m]; auto: two heat cells
     bool cold_ground = false;  ///< the ground below a height map's base cools it too
@@ -95,6 +96,8 @@ struct Params {
               "height of the lava's lower side under a height map");
         field("mesh", &Params::mesh, "closed mesh of the lava body (PLY, OBJ, STL, OFF)");
         field("mesh_scale", &Params::mesh_scale, "", kPositive, "metres per unit of the mesh file");
+        field("volume", &Params::volume,
+              "VDB file with a `region` grid or with level sets of the body and its slow part");
         field("margin", &Params::margin, "m", kPositive,
               "width of the cold surroundings of a body from a file");
         field("cold_ground", &Params::cold_ground,
