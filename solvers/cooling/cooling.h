@@ -29,9 +29,9 @@ struct Params {
     static void describe(auto&& field)
     {
         field("alpha", &Params::alpha, "", kPositive, "mesh Fourier number kappa dt / H^2; stable up to 1/6");
-        field("lava_temperature", &Params::lava_temperature, "K", kNotNegative, "initial temperature of the lava (virtual degrees)");
-        field("cold_temperature", &Params::cold_temperature, "K", kNotNegative, "held in air and ground");
-        field("slow_temperature", &Params::slow_temperature, "K", kNotNegative, "held in the slow part");
+        field("lava_temperature", &Params::lava_temperature, "K", between(0, 1e6), "initial temperature of the lava (virtual degrees)");
+        field("cold_temperature", &Params::cold_temperature, "K", between(0, 1e6), "held in air and ground");
+        field("slow_temperature", &Params::slow_temperature, "K", between(0, 1e6), "held in the slow part");
         field("steps", &Params::steps, "", between(0, 1e7), "time steps");
         field("stop", &Params::stop, "after `steps`, or when nothing changes any more");
         field("steady_change", &Params::steady_change, "K", kPositive, "steady: largest change in a step");
@@ -58,16 +58,27 @@ struct Result {
     double last_change = 0;
 };
 
-/// Where a long run continues: opaque bytes, saved now and then and offered again at the next start.
+/// Where a long run continues: opaque bytes, saved now and then, and when the run is cancelled, and
+/// offered again at the next start. A resumed run gives the bytes of an uninterrupted one.
 struct Checkpoint {
     std::function<void(const std::string& bytes)> save;  ///< may be empty
     std::string resume;                                  ///< empty: from the beginning
+    double interval = 5e9;  ///< updates of a voxel between two saves; about ten seconds of work
 };
 
-/// Forward time, centred space; doubles throughout, stored as float. Domain border: zero normal
-/// gradient. Up to 128^3 cells dense, above sparse on the leaf pool; both give the same bytes.
-/// @throws InvalidParameter  alpha > 1/6 without allow_unstable
-/// @throws InvalidInput      no lava; the temperature is the same everywhere (no cooling surface)
+/// Forward time, centred space [Ito2004, eq. 2]; doubles throughout, stored as float. Domain border:
+/// zero normal gradient. Up to 128^3 cells dense, above sparse on the leaf pool; both give the same
+/// bytes, on any number of threads.
+///
+/// With `robin` = Bi a cold face is a surface that gives off heat by h (T - T_cold): half a cell of
+/// rock and the contact in series, a conductance of 1 / (1/2 + 1/Bi) where two cells have 1.
+///
+/// @throws InvalidParameter  alpha above the stable limit without allow_unstable
+/// @throws InvalidInput      no lava in the box; a region that is not 0, 1, 2 or lies elsewhere; the
+///                           temperature is the same everywhere (no cooling surface); a checkpoint
+///                           that is damaged or of another run, naming what differs
+/// @throws NumericalError    the temperature overflows; not steady after the most steps allowed
+/// @throws Cancelled         after saving a checkpoint
 Result run(const Inputs& inputs, const Params& params, const Checkpoint& checkpoint, const Progress& progress);
 
 }  // namespace sekitei::cooling
