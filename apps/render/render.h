@@ -23,11 +23,14 @@ struct Params {
     double exposure = 0;               ///< stops
     std::optional<Vec3d> eye, target;  ///< [m]; auto: from the bounds
     double view_azimuth = 215,
-           view_elevation = 18;  ///< [deg] where the automatic camera stands, seen from the target
+           view_elevation = 8;   ///< [deg] where the automatic camera stands, seen from the target
     double zoom = 1;             ///< > 1: nearer
     double field_of_view = 35;   ///< vertical [deg]
     bool ground = true;          ///< a ground plane at the lowest point
-    std::string field;           ///< mesh attribute shown as colours with a colour bar; empty: rock
+    bool hills = true;           ///< far ridges along the horizon
+    std::optional<double> haze;  ///< distance that air veils to 1/e [m]; auto: 45 times the size
+    bool denoise = true;
+    std::string field;  ///< mesh attribute shown as colours with a colour bar; empty: rock
 
     static void describe(auto&& field_)
     {
@@ -54,6 +57,10 @@ struct Params {
         field_("field_of_view", &Params::field_of_view, "deg", between(1, 150),
                "vertical opening of the camera");
         field_("ground", &Params::ground, "a ground plane at the lowest point");
+        field_("hills", &Params::hills, "far ridges along the horizon");
+        field_("haze", &Params::haze, "m", kPositive,
+               "distance at which air hides two thirds of the light from a thing");
+        field_("denoise", &Params::denoise, "smooth the noise that is left, keeping detail");
         field_("field", &Params::field, "mesh attribute to show as colours with a colour bar");
     }
 };

@@ -1,0 +1,225 @@
+#include "apps/render/render.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+
+#include "apps/render/camera.h"
+#include "apps/render/colour.h"
+#include "apps/render/corner_normals.h"
+#include "apps/render/look.h"
+#include "apps/render/path_tracer.h"
+#include "apps/render/sky.h"
+#include "apps/render/text.h"
+#include "core/error.h"
+#include "core/log.h"
+#include "core/math.h"
+#include "core/parallel.h"
+#include "core/random.h"
+#include "solvers/rays/embree.h"
+
+namespace sekitei::render {
+namespace {
+
+constexpr double kDegree = math::kPi / 180;
+constexpr double kCrease = 38 * kDegree;
+
+/// Exposure that shows rock in open light a little below middle grey.
+constexpr float kRockExposure = 1.9f;
+
+/// Bounds of what triangles use.
+Bounds used_bounds(const TriMesh& mesh)
+{
+    Bounds bounds;
+    for (const auto& t : mesh.triangles)
+        for (const std::uint32_t v : t)
+            if (v < mesh.vertices.size()) bounds.add(Vec3d(mesh.vertices[v]));
+    return bounds;
+}
+
+Vec3d direction_of(double azimuth_deg, double elevation_deg)
+{
+    const double a = azimuth_deg * kDegree, e = elevation_deg * kDegree;
+    return {math::sin(a) * math::cos(e), math::cos(a) * math::cos(e), math::sin(e)};
+}
+
+/// A mesh attribute as colours.
+struct Shown {
+    std::vector<Vec3f> colours;
+    bool per_vertex = false;
+    bool ids = false, vectors = false;
+    double low = 0, high = 1;
+    std::vector<std::int32_t> names;
+};
+
+Shown show_attribute(const TriMesh& mesh, const std::string& name)
+{
+    const TriMesh::Attribute* attribute = nullptr;
+    Shown shown;
+    if (const auto v = mesh.vertex_attributes.find(name); v != mesh.vertex_attributes.end()) {
+        attribute = &v->second;
+        shown.per_vertex = true;
+    }
+    // Names belong to whole triangles where both are there.
+    if (const auto f = mesh.face_attributes.find(name); f != mesh.face_attributes.end())
+        if (!attribute || std::holds_alternative<std::vector<std::int32_t>>(f->second)) {
+            attribute = &f->second;
+            shown.per_vertex = false;
+        }
+    if (!attribute) {
+        std::vector<std::string> known;
+        for (const auto& [key, value] : mesh.vertex_attributes) known.push_back(key);
+        for (const auto& [key, value] : mesh.face_attributes) known.push_back(key);
+        std::sort(known.begin(), known.end());
+        known.erase(std::unique(known.begin(), known.end()), known.end());
+        throw InvalidInput(fmt::format(
+            "render: field = {}, the mesh has {}", name,
+            known.empty() ? "no attributes" : fmt::format("{}", fmt::join(known, ", "))));
+    }
+    const std::size_t expected = shown.per_vertex ? mesh.vertices.size() : mesh.triangles.size();
+    const std::size_t found = std::visit([](const auto& v) { return v.size(); }, *attribute);
+    if (found != expected)
+        throw InvalidInput(fmt::format("render: field {} has {} values, the mesh has {} {}", name,
+                                       found, expected,
+                                       shown.per_vertex ? "vertices" : "triangles"));
+    shown.colours.resize(expected);
+    if (const auto* floats = std::get_if<std::vector<float>>(attribute)) {
+        double low = INFINITY, high = -INFINITY;
+        for (const float v : *floats)
+            if (std::isfinite(v)) {
+                low = std::min(low, static_cast<double>(v));
+                high = std::max(high, static_cast<double>(v));
+            }
+        if (!(low <= high)) low = high = 0;
+        shown.low = low;
+        shown.high = high;
+        const double span = high > low ? high - low : 1;
+        parallel_for(
+            expected,
+            [&](std::size_t i) {
+                const auto v = static_cast<double>((*floats)[i]);
+                shown.colours[i] =
+                    std::isfinite(v) ? colour_of_value((v - low) / span) : Vec3f(0.5f, 0, 0.3f);
+            },
+            4096);
+    } else if (const auto* ints = std::get_if<std::vector<std::int32_t>>(attribute)) {
+        shown.ids = true;
+        shown.names = *ints;
+        std::sort(shown.names.begin(), shown.names.end());
+        shown.names.erase(std::unique(shown.names.begin(), shown.names.end()), shown.names.end());
+        parallel_for(
+            expected, [&](std::size_t i) { shown.colours[i] = colour_of_id((*ints)[i]); }, 4096);
+    } else {
+        shown.vectors = true;
+        const auto& vectors = std::get<std::vector<Vec3f>>(*attribute);
+        for (std::size_t i = 0; i < expected; ++i)
+            shown.colours[i] = colour_of_direction(vectors[i]);
+    }
+    return shown;
+}
+
+/// Bytes of a film; the dither hides steps in smooth skies and is addressed by pixel.
+template <class ToDisplay>
+Image8 develop(const Film& film, std::uint64_t seed, ToDisplay&& to_display)
+{
+    Image8 image(film.width, film.height, 3);
+    constexpr Stream kDither{"render.dither"};
+    const std::uint64_t key = hash2(seed, kDither.id);
+    parallel_for(static_cast<std::size_t>(film.height), [&](std::size_t row) {
+        for (std::size_t x = 0; x < static_cast<std::size_t>(film.width); ++x) {
+            const std::size_t i = row * static_cast<std::size_t>(film.width) + x;
+            const Vec3f c = to_display(film.radiance[i]);
+            const double dither = uniform_of_key(key, i) - 0.5;
+            for (int k = 0; k < 3; ++k)
+                image.pixels[i * 3 + static_cast<std::size_t>(k)] =
+                    srgb_byte(static_cast<double>(c[k]), dither);
+        }
+    });
+    return image;
+}
+
+}  // namespace
+
+void validate(const Params& params)
+{
+    validate_described("render", params);
+}
+
+Image8 run(const TriMesh& mesh, const Params& params, std::uint64_t seed, const Progress& progress)
+{
+    validate(params);
+    if (mesh.triangles.empty())
+        throw InvalidInput("render: the mesh has no triangles, must have at least one");
+    std::optional<Shown> shown;
+    if (!params.field.empty()) shown = show_attribute(mesh, params.field);
+    const Bounds bounds = used_bounds(mesh);
+    const double size = length(bounds.size());
+    progress.update(0);
+
+    const rays::TriangleScene rays(mesh.vertices, mesh.triangles, "render");  // checks the mesh
+    const std::vector<Vec3f> normals = corner_normals(mesh, kCrease);
+    progress.check();
+    const Vec3d sun = direction_of(params.sun_azimuth, params.sun_elevation);
+    const double sun_radius = params.sun_size / 2 * kDegree;
+    std::optional<double> ground;
+    if (params.ground) ground = bounds.lower.z;
+
+    // Light and look: rock by day, or a field in soft light before a plain backdrop.
+    Sky sky;
+    std::unique_ptr<Look> look;
+    if (shown) {
+        sky = Sky::uniform(0.72f, true);
+        sky.set_sun(direction_of(params.view_azimuth - 50, 50), 12 * kDegree, Vec3f(1.1f));
+        look = std::make_unique<ColourLook>(mesh, shown->colours, shown->per_vertex, Vec3f(0.8f));
+        ground.reset();
+    } else {
+        sky = Sky::day(sun, sun_radius, params.turbidity, !params.ground);
+        look = std::make_unique<RockLook>(mesh, seed);
+    }
+    World world{.mesh = mesh,
+                .rays = rays,
+                .normals = normals,
+                .look = *look,
+                .sky = sky,
+                .camera = make_camera(params, bounds),
+                .ground = ground,
+                .haze = shown ? INFINITY : params.haze.value_or(std::max(size, 1e-6) * 45),
+                .hills = params.hills && params.ground && !shown,
+                .backdrop = {}};
+    if (shown) world.backdrop = Vec3f(0.93f);
+    const TraceParams trace_params{.width = params.width,
+                                   .height = params.height,
+                                   .samples = params.samples,
+                                   .bounces = params.bounces};
+    Film film = trace(world, trace_params, seed, progress.slice(0.02, 0.95));
+    log::detail("render: {} triangles, {} rays, {} for Embree",
+                count_text(static_cast<double>(mesh.triangles.size())),
+                count_text(static_cast<double>(film.rays)),
+                bytes_text(static_cast<double>(rays.memory_bytes())));
+    if (params.denoise) denoise(film, progress.slice(0.95, 0.99));
+
+    const auto stops = static_cast<float>(math::exp(params.exposure * 0.69314718055994531));
+    Image8 image;
+    if (shown) {
+        image = develop(film, seed, [&](Vec3f c) { return c * stops; });
+        const int scale = std::max(1, params.height / 300), margin = 10 * scale;
+        const int bar = std::min(params.height - 2 * margin, 190 * scale);
+        const Rgb ink{40, 40, 40};
+        if (shown->ids)
+            draw_id_legend(image, margin, margin, bar, shown->names, params.field, scale, ink);
+        else if (!shown->vectors)
+            draw_colour_bar(image, margin, margin, bar, shown->low, shown->high, params.field,
+                            scale, ink);
+        else
+            draw_text(image, margin, margin, params.field, scale, ink);
+    } else {
+        const float gain = kRockExposure * stops / std::max(sky.white(), 1e-12f);
+        image = develop(film, seed, [&](Vec3f c) { return tone_map(c * gain); });
+    }
+    progress.update(1);
+    return image;
+}
+
+}  // namespace sekitei::render

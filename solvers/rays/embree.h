@@ -1,0 +1,195 @@
+#pragma once
+
+#if __has_include(<embree3/rtcore.h>)
+#include <embree3/rtcore.h>
+#else
+#include <embree4/rtcore.h>
+#endif
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "core/error.h"
+#include "core/vec.h"
+
+/// Rays against triangles, by Embree; the difference between its versions 3 and 4 is hidden here.
+/// Whoever includes this links `embree`.
+namespace sekitei::rays {
+
+struct Hit {
+    std::uint32_t triangle = 0;
+    double distance = 0;  ///< in lengths of the ray's direction
+    float u = 0, v = 0;   ///< weights of the triangle's second and third corner
+};
+
+/// Triangles that rays can be asked against, from any number of threads.
+///
+/// Embree picks its code by processor and may round differently on another one. It therefore only
+/// says which triangle is met; distance and weights are computed again here, in double, from the
+/// ray and the corners.
+class TriangleScene {
+public:
+    using Triangle = std::array<std::uint32_t, 3>;
+
+    /// Copies what it needs; `vertices` and `triangles` must outlive the scene all the same, since
+    /// hits are refined on them.
+    /// @throws InvalidInput  no triangle, a vertex that is NaN, infinite or beyond 1e15 m (Embree
+    ///                       would drop its triangles without a word), an index out of range
+    TriangleScene(const std::vector<Vec3f>& vertices, const std::vector<Triangle>& triangles,
+                  const std::string& who)
+        : vertices_(vertices), triangles_(triangles)
+    {
+        if (triangles.empty()) throw InvalidInput(who + ": the mesh has no triangles");
+        for (std::size_t i = 0; i < vertices.size(); ++i) {
+            const Vec3f p = vertices[i];
+            const float most = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
+            if (!(std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z) && most < 1e15f))
+                throw InvalidInput(fmt_vertex(who, i, p));
+        }
+        for (std::size_t i = 0; i < triangles.size(); ++i)
+            for (const std::uint32_t v : triangles[i])
+                if (v >= vertices.size())
+                    throw InvalidInput(who + ": triangle " + std::to_string(i) + " names vertex " +
+                                       std::to_string(v) + ", but the mesh has " +
+                                       std::to_string(vertices.size()));
+        device_ = rtcNewDevice(nullptr);
+        if (!device_) throw LimitExceeded(who + ": Embree could not start");
+        rtcSetDeviceMemoryMonitorFunction(device_, &TriangleScene::monitor, &bytes_);
+        scene_ = rtcNewScene(device_);
+        rtcSetSceneBuildQuality(scene_, RTC_BUILD_QUALITY_MEDIUM);
+        rtcSetSceneFlags(scene_, RTC_SCENE_FLAG_ROBUST);
+        RTCGeometry geometry = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE);
+        void* points = rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0,
+                                               RTC_FORMAT_FLOAT3, sizeof(Vec3f), vertices.size());
+        void* corners =
+            rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
+                                    sizeof(Triangle), triangles.size());
+        if (points && corners) {
+            std::memcpy(points, vertices.data(), vertices.size() * sizeof(Vec3f));
+            std::memcpy(corners, triangles.data(), triangles.size() * sizeof(Triangle));
+            rtcCommitGeometry(geometry);
+            rtcAttachGeometry(scene_, geometry);
+            rtcCommitScene(scene_);
+        }
+        rtcReleaseGeometry(geometry);
+        const RTCError error = rtcGetDeviceError(device_);
+        if (!points || !corners || error != RTC_ERROR_NONE) {
+            release();
+            throw LimitExceeded(who + ": no memory for the rays of " +
+                                count_text(static_cast<double>(triangles.size())) + " triangles");
+        }
+    }
+    ~TriangleScene() { release(); }
+    TriangleScene(const TriangleScene&) = delete;
+    TriangleScene& operator=(const TriangleScene&) = delete;
+
+    /// The nearest triangle met at a distance in [near, far].
+    bool intersect(Vec3f origin, Vec3f direction, float near, float far, Hit& hit) const
+    {
+        RTCRayHit query;
+        fill(query.ray, origin, direction, near, far);
+        query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+        query.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+#if RTC_VERSION_MAJOR >= 4
+        rtcIntersect1(scene_, &query, nullptr);
+#else
+        RTCIntersectContext context;
+        rtcInitIntersectContext(&context);
+        rtcIntersect1(scene_, &context, &query);
+#endif
+        if (query.hit.geomID == RTC_INVALID_GEOMETRY_ID) return false;
+        hit.triangle = query.hit.primID;
+        refine(origin, direction, query.ray.tfar, hit);
+        return true;
+    }
+
+    /// Whether anything is met at a distance in [near, far].
+    bool occluded(Vec3f origin, Vec3f direction, float near, float far) const
+    {
+        RTCRay ray;
+        fill(ray, origin, direction, near, far);
+#if RTC_VERSION_MAJOR >= 4
+        rtcOccluded1(scene_, &ray, nullptr);
+#else
+        RTCIntersectContext context;
+        rtcInitIntersectContext(&context);
+        rtcOccluded1(scene_, &context, &ray);
+#endif
+        return ray.tfar < 0;
+    }
+
+    /// Memory that Embree holds now.
+    std::size_t memory_bytes() const
+    {
+        return static_cast<std::size_t>(std::max<std::int64_t>(0, bytes_.load()));
+    }
+
+private:
+    static bool monitor(void* total, ssize_t bytes, bool)
+    {
+        static_cast<std::atomic<std::int64_t>*>(total)->fetch_add(bytes);
+        return true;
+    }
+    static std::string fmt_vertex(const std::string& who, std::size_t i, Vec3f p)
+    {
+        return who + ": vertex " + std::to_string(i) + " is (" + std::to_string(p.x) + ", " +
+               std::to_string(p.y) + ", " + std::to_string(p.z) +
+               "), must be finite and within 1e15 m";
+    }
+    static void fill(RTCRay& ray, Vec3f origin, Vec3f direction, float near, float far)
+    {
+        ray.org_x = origin.x;
+        ray.org_y = origin.y;
+        ray.org_z = origin.z;
+        ray.dir_x = direction.x;
+        ray.dir_y = direction.y;
+        ray.dir_z = direction.z;
+        ray.tnear = near;
+        ray.tfar = far;
+        ray.time = 0;
+        ray.mask = 0xFFFFFFFFu;
+        ray.id = 0;
+        ray.flags = 0;
+    }
+
+    /// Distance and weights in double [Moeller1997]; Embree's distance for a ray within the plane.
+    void refine(Vec3f origin, Vec3f direction, float fallback, Hit& hit) const
+    {
+        const Triangle& t = triangles_[hit.triangle];
+        const Vec3d a(vertices_[t[0]]), e1 = Vec3d(vertices_[t[1]]) - a,
+                                        e2 = Vec3d(vertices_[t[2]]) - a, d(direction);
+        const Vec3d p = cross(d, e2), s = Vec3d(origin) - a, q = cross(s, e1);
+        const double det = dot(e1, p);
+        if (det == 0) {
+            hit.distance = fallback;
+            hit.u = hit.v = 1.0f / 3;
+            return;
+        }
+        const double u = std::clamp(dot(s, p) / det, 0.0, 1.0);
+        hit.u = static_cast<float>(u);
+        hit.v = static_cast<float>(std::clamp(dot(d, q) / det, 0.0, 1.0 - u));
+        hit.distance = dot(e2, q) / det;
+    }
+    void release()
+    {
+        if (scene_) rtcReleaseScene(scene_);
+        if (device_) rtcReleaseDevice(device_);
+        scene_ = nullptr;
+        device_ = nullptr;
+    }
+
+    const std::vector<Vec3f>& vertices_;
+    const std::vector<Triangle>& triangles_;
+    std::atomic<std::int64_t> bytes_{0};
+    RTCDevice device_ = nullptr;
+    RTCScene scene_ = nullptr;
+};
+
+}  // namespace sekitei::rays
