@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "core/vec.h"
@@ -48,7 +49,11 @@ void write_png(const std::filesystem::path& path, const Image16& image);
 /// Reads any PNG as 16-bit grey (colour by Rec. 709 luma, 8-bit scaled by 257, alpha ignored).
 /// @throws InvalidInput  not a PNG, damaged, more than 2^28 pixels
 Image16 read_png_grey16(const std::filesystem::path& path);
-/// Reads any PNG as 8-bit RGB.
+/// Reads any PNG as 8-bit RGB; alpha is ignored.
 Image8 read_png_rgb8(const std::filesystem::path& path);
+
+/// The same from bytes; `name` is used in messages.
+Image16 decode_png_grey16(std::string_view bytes, const std::string& name);
+Image8 decode_png_rgb8(std::string_view bytes, const std::string& name);
 
 }  // namespace sekitei

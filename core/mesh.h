@@ -47,6 +47,9 @@ struct MeshReport {
     double genus() const { return static_cast<double>(pieces) - static_cast<double>(euler) / 2; }
 };
 
+/// @throws InvalidInput  a triangle names a vertex that does not exist
 MeshReport inspect(const TriMesh& mesh);
+
+double triangle_area(Vec3f a, Vec3f b, Vec3f c);  ///< [m^2], computed in double
 
 }  // namespace sekitei

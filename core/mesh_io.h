@@ -23,17 +23,33 @@ struct MeshReadReport {
 /// Reads PLY (ascii, both binary orders), OBJ, STL (ascii, binary) or OFF, chosen by content, then
 /// by name.
 ///
-/// The header is checked against the file's size before anything is allocated; OpenMesh then reads.
-/// Named vertex/face properties of our own PLY files (float and int32) come back as attributes.
-/// Zero-area triangles and duplicate vertices are dropped and counted; orientation is made
-/// consistent.
+/// The header is checked against the file's size, and every index against the vertices, before
+/// anything is built; OpenMesh reads OFF and STL. Scalar properties of PLY come back as attributes
+/// (integers as int32, others as float; NAME_x, NAME_y, NAME_z as one Vec3f; nx, ny, nz as
+/// `normal`; red, green, blue as `color` in 0..1). Groups `column_00042` of OBJ come back as
+/// `column`.
+///
+/// Zero-area triangles and vertices with equal position and attributes are dropped and counted.
+/// Neighbours are made to agree in orientation, and closed pieces turned to positive volume unless
+/// they wall a cavity. Holes and non-manifold edges stay; inspect() counts them.
+/// @param report  what was mended; if null, warnings go to the log
 /// @throws InvalidInput  file:line or byte, value, what was expected
 TriMesh read_mesh(const std::filesystem::path& path, MeshReadReport* report = nullptr);
 
+/// The same from bytes; `name` chooses the format where content does not, and is used in messages.
+TriMesh decode_mesh(std::string_view bytes, const std::string& name,
+                    MeshReadReport* report = nullptr);
+
 /// Writes by extension: .ply (binary little endian, all attributes), .obj (one `g column_00042` a
 /// column, when the face attribute `column` exists), .stl (binary), .off, .glb (glTF 2.0, y up,
-/// custom attributes as _NAME vertex attributes, vertices split where `column` changes).
-/// @throws InvalidParameter  unknown extension; IoError
+/// custom attributes as _NAME vertex attributes, `column` as _COLUMN_ID; vertices split where an
+/// int32 face attribute changes, other face attributes averaged over the faces at a vertex).
+///
+/// The vertex attributes `normal` and `color` (Vec3f) become what each format has for them; other
+/// vectors keep their z-up components.
+/// @throws InvalidInput  no triangles, vertices not finite, attributes of the wrong length
+/// @throws InvalidParameter  unknown extension
+/// @throws IoError
 void write_mesh(const std::filesystem::path& path, const TriMesh& mesh);
 
 /// The bytes write_mesh() would write; `extension` with its dot.

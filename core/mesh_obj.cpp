@@ -1,0 +1,267 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <limits>
+#include <map>
+
+#include "core/error.h"
+#include "core/mesh_formats.h"
+
+// OBJ is read by code of our own: OpenMesh 9 drops groups, opens the material files that a mesh
+// names, and indexes its vertex list with whatever a face says.
+namespace sekitei::mesh_format {
+namespace {
+
+constexpr std::int32_t kNoName = -1;
+
+/// Names of one statement (g, usemtl or o) and which of them each polygon has.
+struct Naming {
+    std::vector<std::string> names;
+    std::map<std::string, std::int32_t> known;
+    std::int32_t now = kNoName;
+    std::vector<std::int32_t> of_polygon;
+
+    void set(std::string_view rest)
+    {
+        while (!rest.empty() && (rest.back() == ' ' || rest.back() == '\t')) rest.remove_suffix(1);
+        const auto first = rest.find_first_not_of(" \t");
+        const std::string name(first == std::string_view::npos ? "default" : rest.substr(first));
+        const auto [entry, added] = known.emplace(name, static_cast<std::int32_t>(known.size()));
+        if (added) names.push_back(name);
+        now = entry->second;
+    }
+};
+
+class Reader {
+public:
+    Reader(std::string_view bytes, const std::string& name) : lines_(bytes), name_(name)
+    {
+        out_.name = name;
+    }
+
+    Polygons read()
+    {
+        std::string joined;
+        for (std::string_view line; lines_.next(line);) {
+            line_ = lines_.number();
+            // A backslash at its end carries a line on.
+            if (line.ends_with('\\')) {
+                joined.assign(line.substr(0, line.size() - 1));
+                while (lines_.next(line) && line.ends_with('\\'))
+                    joined.append(" ").append(line.substr(0, line.size() - 1));
+                if (!line.ends_with('\\')) joined.append(" ").append(line);
+                line = joined;
+            }
+            if (line.find('\0') != std::string_view::npos)
+                throw InvalidInput(fmt::format(
+                    "{}:{}: a zero byte: this is no text and no OBJ file", name_, line_));
+            statement(line);
+        }
+        check_indices();
+        name_groups();
+        if (!colours_.empty() && colours_.size() == out_.vertices.size())
+            out_.vertex_attributes[kColour] = std::move(colours_);
+        return std::move(out_);
+    }
+
+private:
+    Lines lines_;
+    std::string name_;
+    Polygons out_;
+    std::uint64_t line_ = 0;
+    std::uint64_t most_ = 0;  ///< the largest index so far, from 1
+    std::uint64_t most_line_ = 0;
+    Naming group_, material_, object_;
+    std::vector<Vec3f> colours_;
+
+    InvalidInput error(const std::string& what) const
+    {
+        return InvalidInput(fmt::format("{}:{}: {}", name_, line_, what));
+    }
+
+    void statement(std::string_view line)
+    {
+        const std::string_view key = take_word(line);
+        if (key == "v")
+            vertex(line);
+        else if (key == "f")
+            face(line);
+        else if (key == "g")
+            group_.set(line);
+        else if (key == "usemtl")
+            material_.set(line);
+        else if (key == "o")
+            object_.set(line);
+        // everything else (texture coordinates, normals, curves, comments) has no use here
+    }
+
+    void vertex(std::string_view line)
+    {
+        double value[6];
+        int count = 0;
+        for (std::string_view word = take_word(line); !word.empty() && !word.starts_with('#');
+             word = take_word(line)) {
+            if (count == 6) break;
+            if (!to_number(word, value[count]))
+                throw error(fmt::format("'{}', must be a number", shown(word)));
+            ++count;
+        }
+        if (count < 3) throw error(fmt::format("a vertex of {} numbers, must be 3", count));
+        out_.vertices.emplace_back(static_cast<float>(value[0]), static_cast<float>(value[1]),
+                                   static_cast<float>(value[2]));
+        out_.places.push_back(line_);
+        if (count == 6)
+            colours_.emplace_back(static_cast<float>(value[3]), static_cast<float>(value[4]),
+                                  static_cast<float>(value[5]));
+    }
+
+    void face(std::string_view line)
+    {
+        for (std::string_view word = take_word(line); !word.empty() && !word.starts_with('#');
+             word = take_word(line)) {
+            // 7, 7/1, 7//3 or 7/1/3: the first number is the vertex
+            const std::string_view digits = word.substr(0, word.find('/'));
+            std::int64_t index = 0;
+            if (!to_integer(digits, index))
+                throw error(fmt::format("'{}', must be a vertex index", shown(word)));
+            const auto count = static_cast<std::int64_t>(out_.vertices.size());
+            if (index == 0 || index < -count || index > 0xFFFFFFFF)
+                throw error(
+                    fmt::format("vertex index {}, must be from 1, or from -{} when counted back",
+                                index, count));
+            if (index < 0)
+                index += count;
+            else {
+                if (static_cast<std::uint64_t>(index) > most_) {
+                    most_ = static_cast<std::uint64_t>(index);
+                    most_line_ = line_;
+                }
+                --index;
+            }
+            out_.corners.push_back(static_cast<std::uint32_t>(index));
+        }
+        out_.ends.push_back(out_.corners.size());
+        group_.of_polygon.push_back(group_.now);
+        material_.of_polygon.push_back(material_.now);
+        object_.of_polygon.push_back(object_.now);
+    }
+
+    /// A face may come before its vertices, so the upper bound is known only now.
+    void check_indices()
+    {
+        if (out_.vertices.empty())
+            throw InvalidInput(
+                fmt::format("{}: no vertex in {} lines: expected an OBJ file with lines 'v x y z'",
+                            name_, lines_.number()));
+        if (most_ > out_.vertices.size())
+            throw InvalidInput(fmt::format("{}:{}: vertex index {}, must be 1 to {}", name_,
+                                           most_line_, most_, out_.vertices.size()));
+    }
+
+    /// Groups name the faces; without groups the materials do, without these the objects.
+    void name_groups()
+    {
+        Naming* naming = !group_.names.empty()      ? &group_
+                         : !material_.names.empty() ? &material_
+                                                    : &object_;
+        if (naming->names.empty()) return;
+        for (std::int32_t& i : naming->of_polygon)
+            if (i == kNoName) {
+                naming->set("default");
+                i = naming->now;
+            }
+        out_.groups = naming->names;
+
+        // Groups of our own files carry the column.
+        std::vector<std::int32_t> column(naming->names.size());
+        for (std::size_t i = 0; i < naming->names.size(); ++i) {
+            std::string_view text = naming->names[i];
+            std::int64_t id = 0;
+            if (!text.starts_with("column_") || !to_integer(text.substr(7), id) || id < -1 ||
+                id > std::numeric_limits<std::int32_t>::max()) {
+                column.clear();
+                break;
+            }
+            column[i] = static_cast<std::int32_t>(id);
+        }
+        if (!column.empty()) {
+            std::vector<std::int32_t> ids;
+            for (const std::int32_t i : naming->of_polygon) ids.push_back(column[std::size_t(i)]);
+            out_.face_attributes["column"] = std::move(ids);
+        }
+        out_.face_attributes["group"] = std::move(naming->of_polygon);
+    }
+};
+
+}  // namespace
+
+bool looks_like_obj(std::string_view bytes)
+{
+    // Comments may come first, but a vertex, a group or a library soon.
+    Lines lines(bytes.substr(0, 1 << 16));
+    for (std::string_view line; lines.next(line);) {
+        const std::string_view key = take_word(line);
+        if (key.empty() || key.starts_with('#')) continue;
+        double x = 0;
+        if (key == "v") return to_number(take_word(line), x);
+        if (key != "mtllib" && key != "o" && key != "g" && key != "s" && key != "usemtl" &&
+            key != "vn" && key != "vt")
+            return false;
+    }
+    return false;
+}
+
+Polygons read_obj(std::string_view bytes, const std::string& name)
+{
+    return Reader(bytes, name).read();
+}
+
+std::string write_obj(const TriMesh& mesh)
+{
+    auto vectors = [&](const char* name) -> const std::vector<Vec3f>* {
+        const auto found = mesh.vertex_attributes.find(name);
+        return found == mesh.vertex_attributes.end()
+                   ? nullptr
+                   : std::get_if<std::vector<Vec3f>>(&found->second);
+    };
+    const auto* normals = vectors(kNormal);
+    const auto* colours = vectors(kColour);
+    std::string out = "# Sekitei: metres, z up\n";
+    auto to = std::back_inserter(out);
+    for (std::size_t i = 0; i < mesh.vertices.size(); ++i) {
+        const Vec3f v = mesh.vertices[i];
+        fmt::format_to(to, "v {} {} {}", v.x, v.y, v.z);
+        if (colours) {
+            const Vec3f c = (*colours)[i];
+            fmt::format_to(to, " {} {} {}", c.x, c.y, c.z);
+        }
+        out += '\n';
+    }
+    if (normals)
+        for (const Vec3f& n : *normals) fmt::format_to(to, "vn {} {} {}\n", n.x, n.y, n.z);
+
+    // Faces in their order, or column by column.
+    std::vector<std::uint32_t> order(mesh.triangles.size());
+    for (std::uint32_t t = 0; t < order.size(); ++t) order[t] = t;
+    const std::vector<std::int32_t>* column = nullptr;
+    if (const auto found = mesh.face_attributes.find("column"); found != mesh.face_attributes.end())
+        column = std::get_if<std::vector<std::int32_t>>(&found->second);
+    if (column)
+        std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) {
+            return (*column)[a] < (*column)[b];
+        });
+    for (std::size_t i = 0; i < order.size(); ++i) {
+        const std::uint32_t t = order[i];
+        if (column && (i == 0 || (*column)[t] != (*column)[order[i - 1]]))
+            (*column)[t] < 0 ? fmt::format_to(to, "g column_{}\n", (*column)[t])
+                             : fmt::format_to(to, "g column_{:05}\n", (*column)[t]);
+        out += 'f';
+        for (const std::uint32_t v : mesh.triangles[t])
+            normals ? fmt::format_to(to, " {}//{}", v + 1, v + 1)
+                    : fmt::format_to(to, " {}", v + 1);
+        out += '\n';
+    }
+    return out;
+}
+
+}  // namespace sekitei::mesh_format
