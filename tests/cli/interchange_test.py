@@ -1,0 +1,183 @@
+"""Other programs open our files and see what `info` tells; we open theirs."""
+
+import json
+import math
+import shutil
+import subprocess
+import unittest
+
+import foreign
+from foreign import pyopenvdb
+from support import CliTest, SceneTest, environment, run
+
+# pyopenvdb as Debian builds it knows these value types only.
+KNOWN = {"float", "bool", "vec3s"}
+
+BLENDER = """
+import numpy
+numpy.bool = bool
+import bpy, json, sys
+bpy.ops.wm.read_factory_settings(use_empty=True)
+scene, mesh = sys.argv[sys.argv.index("--") + 1:]
+bpy.ops.object.volume_import(filepath=scene)
+volume = bpy.context.object.data
+volume.grids.load()
+grids = sorted(g.name for g in volume.grids)
+bpy.ops.import_mesh.ply(filepath=mesh)
+data = bpy.context.object.data
+print("RESULT " + json.dumps({"grids": grids, "vertices": len(data.vertices), "polygons": len(data.polygons)}))
+"""
+
+
+class Outwards(SceneTest):
+    def test_pyopenvdb_sees_what_info_tells(self):
+        for path in (self.lava, self.cooled, self.joints, self.weathered):
+            described = {g["name"]: g for g in self.succeed("info", path, "--json").json()[0]["grids"]}
+            seen = {g.name for g in pyopenvdb.readAllGridMetadata(str(path))}
+            self.assertLessEqual(seen, set(described))
+            self.assertLessEqual({n for n, g in described.items() if g["type"] in KNOWN and not g["points"]}, seen)
+            for name, g in described.items():
+                if g["type"] not in KNOWN or g["points"]:
+                    continue
+                with self.subTest(file=path.name, grid=name):
+                    grid = pyopenvdb.read(str(path), name)
+                    self.assertEqual(grid.activeVoxelCount(), g["active_voxels"])
+                    self.assertEqual(grid.gridClass, g["class"])
+                    self.assertAlmostEqual(grid.transform.voxelSize()[0], g["voxel_m"])
+                    lower, upper = grid.evalActiveVoxelBoundingBox()
+                    for axis in range(3):
+                        half = g["voxel_m"] / 2
+                        for index, world in ((lower, g["bounds_m"][0]), (upper, g["bounds_m"][1])):
+                            centre = grid.transform.indexToWorld(index)[axis]
+                            self.assertLessEqual(abs(centre - world[axis]), half * 1.01, "bounds agree to half a voxel")
+                    self.assertTrue(grid["sekitei:hash"])
+                    self.assertEqual(grid["sekitei:unit"], g["unit"])
+
+    def test_pyopenvdb_reads_the_values(self):
+        temperature = pyopenvdb.read(str(self.cooled), "temperature")
+        low, high = temperature.evalMinMax()
+        self.assertGreaterEqual(low, 200 - 1e-3)
+        self.assertLessEqual(high, 2000 + 1e-3)
+        self.assertGreater(high, low)
+        gradient = pyopenvdb.read(str(self.cooled), "temperature_gradient")
+        lengths = [math.sqrt(sum(x * x for x in i.value)) for i in gradient.citerOnValues()]
+        self.assertTrue(lengths)
+        for length in lengths:
+            self.assertAlmostEqual(length, 1, places=5)
+        density = pyopenvdb.read(str(self.weathered), "density")
+        self.assertEqual(density.gridClass, "fog volume")
+        low, high = density.evalMinMax()
+        self.assertGreater(low, 0)
+        self.assertLessEqual(high, 1)
+
+    def test_vdb_print_lists_the_grids(self):
+        for path in (self.lava, self.weathered):
+            described = self.succeed("info", path, "--json").json()[0]["grids"]
+            done = subprocess.run(["vdb_print", "-l", str(path)], capture_output=True, text=True, timeout=30)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            for grid in described:
+                self.assertIn(grid["name"], done.stdout)
+
+    def test_the_mesh_is_plain_ply(self):
+        # Read by a dozen lines that know nothing of the program.
+        import struct
+        content = self.mesh.read_bytes()
+        head, body = content.split(b"end_header\n", 1)
+        sizes = {"float": "f", "int": "i", "uchar": "B", "double": "d", "float32": "f", "int32": "i", "uint8": "B", "uint": "I"}
+        elements = []
+        for line in head.decode().split("\n")[1:]:
+            words = line.split()
+            if words[:1] == ["element"]:
+                elements.append((words[1], int(words[2]), []))
+            elif words[:1] == ["property"]:
+                elements[-1][2].append(words[1:])
+        self.assertIn("format binary_little_endian 1.0", head.decode())
+        at, counts = 0, {}
+        highest = 0
+        for name, count, properties in elements:
+            counts[name] = count
+            for _ in range(count):
+                for p in properties:
+                    if p[0] == "list":
+                        length = struct.unpack_from("<" + sizes[p[1]], body, at)[0]
+                        at += struct.calcsize(sizes[p[1]])
+                        indices = struct.unpack_from(f"<{length}{sizes[p[2]]}", body, at)
+                        at += struct.calcsize(f"<{length}{sizes[p[2]]}")
+                        self.assertEqual(length, 3)
+                        highest = max(highest, *indices)
+                    else:
+                        at += struct.calcsize(sizes[p[0]])
+        self.assertEqual(at, len(body))
+        info = self.succeed("info", self.mesh, "--json").json()[0]
+        self.assertEqual((counts["vertex"], counts["face"]), (info["vertices"], info["triangles"]))
+        self.assertLess(highest, counts["vertex"])
+
+    def test_glb_is_well_formed(self):
+        import struct
+        self.succeed("mesh", self.weathered, "-o", "rock.glb")
+        content = (self.folder / "rock.glb").read_bytes()
+        magic, version, length = struct.unpack_from("<4sII", content)
+        self.assertEqual((magic, version, length), (b"glTF", 2, len(content)))
+        size, kind = struct.unpack_from("<I4s", content, 12)
+        self.assertEqual(kind, b"JSON")
+        tree = json.loads(content[20:20 + size])
+        binary = struct.unpack_from("<I4s", content, 20 + size)
+        self.assertEqual(binary[1], b"BIN\0")
+        self.assertEqual(tree["asset"]["version"], "2.0")
+        for view in tree["bufferViews"]:
+            self.assertLessEqual(view.get("byteOffset", 0) + view["byteLength"], binary[0])
+        info = self.succeed("info", self.mesh, "--json").json()[0]
+        indices = sum(tree["accessors"][p["indices"]]["count"] for m in tree["meshes"] for p in m["primitives"])
+        self.assertEqual(indices, 3 * info["triangles"])
+        # y is up: the extent along y is the one along z of the scene.
+        position = tree["accessors"][tree["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
+        self.assertAlmostEqual(position["max"][1], info["bounds_m"][1][2], places=4)
+
+    @unittest.skipUnless(shutil.which("blender"), "Blender is not installed")
+    def test_blender_sees_grids_and_vertices(self):
+        script = self.write("look.py", BLENDER)
+        done = subprocess.run(["blender", "--background", "--factory-startup", "--python", str(script), "--", str(self.weathered), str(self.mesh)],
+                              capture_output=True, text=True, timeout=120)
+        line = next((l for l in done.stdout.split("\n") if l.startswith("RESULT ")), None)
+        self.assertIsNotNone(line, done.stdout[-2000:] + done.stderr[-2000:])
+        seen = json.loads(line[7:])
+        described = self.succeed("info", self.weathered, "--json").json()[0]["grids"]
+        self.assertEqual(seen["grids"], sorted(g["name"] for g in described))
+        info = self.succeed("info", self.mesh, "--json").json()[0]
+        self.assertEqual((seen["vertices"], seen["polygons"]), (info["vertices"], info["triangles"]))
+
+
+class Inwards(CliTest):
+    def test_a_level_set_of_another_program_becomes_rock(self):
+        path = foreign.write(self.folder / "sphere.vdb", foreign.level_set("body_sdf", radius=0.6, voxel=0.05))
+        self.succeed("lava", "--preset", "volume", "--volume", path, "--size", "1.6m,1.6m,1.6m", "--voxel", "5cm", "-o", "lava.vdb")
+        self.succeed("mesh", "lava.vdb", "--grid", "body_sdf", "-o", "body.ply")
+        volume = self.succeed("info", "body.ply", "--json").json()[0]["volume_m3"]
+        self.assertAlmostEqual(volume, 4 / 3 * math.pi * 0.6**3, delta=0.05)
+
+    def test_a_foreign_volume_is_meshed_like_the_sphere_it_is(self):
+        path = foreign.write(self.folder / "sphere.vdb", foreign.level_set("rock", radius=0.5, voxel=0.04))
+        self.succeed("mesh", path, "--grid", "rock", "-o", "rock.ply")
+        mesh = self.succeed("info", "rock.ply", "--json").json()[0]
+        self.assertTrue(mesh["closed"])
+        self.assertAlmostEqual(mesh["volume_m3"], 4 / 3 * math.pi * 0.5**3, delta=0.01)
+        self.assertAlmostEqual(mesh["area_m2"], 4 * math.pi * 0.5**2, delta=0.1)
+
+    def test_a_foreign_file_has_no_hashes_and_verify_says_so(self):
+        path = foreign.write(self.folder / "sphere.vdb", foreign.level_set(), foreign.fog())
+        done = self.succeed("verify", path)
+        self.assertIn("carries no hash", done.err)
+        info = self.succeed("info", path, "--json").json()[0]
+        self.assertEqual({g["name"]: g["class"] for g in info["grids"]}, {"sphere": "level set", "density": "fog volume"})
+        self.assertEqual({g["name"]: g["active_voxels"] for g in info["grids"]}["density"], 12**3)
+        self.assertEqual(info["history"], [])
+
+    def test_half_floats_of_another_program_are_read(self):
+        grid = foreign.fog(value=0.5)
+        grid.saveFloatAsHalf = True
+        path = foreign.write(self.folder / "half.vdb", grid)
+        self.succeed("mesh", path, "--grid", "density", "-o", "half.ply")
+
+
+if __name__ == "__main__":
+    unittest.main()
