@@ -7,7 +7,7 @@
 
 // The same source for wider registers, chosen at run time; without FMA the bytes are the same.
 #if defined(__x86_64__) && !defined(__SANITIZE_THREAD__) && !defined(__SANITIZE_ADDRESS__)
-#define SEKITEI_WIDE __attribute__((target_clones("avx2", "default")))
+#define SEKITEI_WIDE __attribute__((target_clones("avx512f", "avx2", "default")))
 #else
 #define SEKITEI_WIDE
 #endif
@@ -20,6 +20,8 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kMargin = 1e-9;
 /// A tree leaf holds at most this many boxes.
 constexpr std::size_t kTreeLeaf = 4;
+/// How many near segments may each rule out others in a cube.
+constexpr int kRivals = 3;
 /// Long oblique segments enter the tree as several boxes, each at most this wide [voxels].
 constexpr double kBoxWidth = 8;
 
@@ -100,12 +102,12 @@ void push(PolylineIndex::Candidates& out, std::uint32_t id, const Segment& s)
     if (out.lines.empty() || out.lines.back() != s.line) out.lines.push_back(s.line);
 }
 
-/// Squared distances of one point to all candidates.
-SEKITEI_WIDE void distances2(Vec3d p, const double* __restrict ax, const double* __restrict ay,
-                             const double* __restrict az, const double* __restrict dx,
-                             const double* __restrict dy, const double* __restrict dz,
-                             const double* __restrict inverse, std::size_t n,
-                             double* __restrict out)
+/// Ways from the nearest point of each candidate to p, and their squared lengths.
+SEKITEI_WIDE void ways_to(Vec3d p, const double* __restrict ax, const double* __restrict ay,
+                          const double* __restrict az, const double* __restrict dx,
+                          const double* __restrict dy, const double* __restrict dz,
+                          const double* __restrict inverse, std::size_t n, double* __restrict wx,
+                          double* __restrict wy, double* __restrict wz, double* __restrict w2)
 {
     for (std::size_t j = 0; j < n; ++j) {
         const double px = p.x - ax[j], py = p.y - ay[j], pz = p.z - az[j];
@@ -113,45 +115,77 @@ SEKITEI_WIDE void distances2(Vec3d p, const double* __restrict ax, const double*
         t = t > 0.0 ? t : 0.0;
         t = t < 1.0 ? t : 1.0;
         const double rx = px - dx[j] * t, ry = py - dy[j] * t, rz = pz - dz[j] * t;
-        out[j] = rx * rx + ry * ry + rz * rz;
+        wx[j] = rx;
+        wy[j] = ry;
+        wz[j] = rz;
+        w2[j] = rx * rx + ry * ry + rz * rz;
     }
 }
 
-void distances2(Vec3d p, const PolylineIndex::Candidates& c, std::vector<double>& out)
+/// Lowers kept[j] below zero for each candidate that `corner_distance` beats in the whole cube.
+///
+/// With w the way from candidate j's nearest point to the centre, d = |w|, convexity gives for each
+/// p of the cube distance_j(p) >= d + (p - centre) . w / d. Minus the (convex) distance to the
+/// rival that is concave in p: where it is positive at all corners, it is everywhere.
+SEKITEI_WIDE void beaten_in_cube(double half, const double* __restrict corner_distance,
+                                 const double* __restrict wx, const double* __restrict wy,
+                                 const double* __restrict wz, const double* __restrict w2,
+                                 std::size_t n, double* __restrict kept)
 {
-    out.resize(c.segments.size());
-    distances2(p, c.ax.data(), c.ay.data(), c.az.data(), c.dx.data(), c.dy.data(), c.dz.data(),
-               c.inverse_length2.data(), c.segments.size(), out.data());
-}
-
-/// Index of the nearest candidate for each of the 8 voxels of a row along z. The same arithmetic
-/// as distance2(), in the same order, so that ties fall the same way.
-SEKITEI_WIDE void nearest_in_row(double x, double y, const double* __restrict z,
-                                 const double* __restrict ax, const double* __restrict ay,
-                                 const double* __restrict az, const double* __restrict dx,
-                                 const double* __restrict dy, const double* __restrict dz,
-                                 const double* __restrict inverse, std::size_t n,
-                                 double* __restrict index)
-{
-    double least[kLeafEdge], which[kLeafEdge];
-    for (int k = 0; k < kLeafEdge; ++k) least[k] = kInfinity, which[k] = 0;
     for (std::size_t j = 0; j < n; ++j) {
-        const double px = x - ax[j], py = y - ay[j], a = az[j];
-        const double ex = dx[j], ey = dy[j], ez = dz[j], inv = inverse[j];
-        const double along = px * ex + py * ey, id = static_cast<double>(j);
-        for (int k = 0; k < kLeafEdge; ++k) {
-            const double pz = z[k] - a;
-            double t = (along + pz * ez) * inv;
-            t = t > 0.0 ? t : 0.0;
-            t = t < 1.0 ? t : 1.0;
-            const double rx = px - ex * t, ry = py - ey * t, rz = pz - ez * t;
-            const double d2 = rx * rx + ry * ry + rz * rz;
-            const bool nearer = d2 < least[k];
-            least[k] = nearer ? d2 : least[k];
-            which[k] = nearer ? id : which[k];
+        const double d2 = w2[j], d = std::sqrt(d2);
+        const double x = wx[j] * half, y = wy[j] * half, z = wz[j] * half;
+        double least = kInfinity;
+        for (int k = 0; k < 8; ++k) {
+            const double slope = (k & 1 ? x : -x) + (k & 2 ? y : -y) + (k & 4 ? z : -z);
+            const double ahead = d2 + slope - corner_distance[k] * d;
+            least = ahead < least ? ahead : least;
         }
+        kept[j] = least > kMargin * (1 + d2) ? -1.0 : kept[j];
     }
-    for (int k = 0; k < kLeafEdge; ++k) index[k] = which[k];
+}
+
+/// A row of 8 voxels along z: one register, two or four, as the processor has them.
+typedef double Row __attribute__((vector_size(64)));
+typedef std::int64_t RowIds __attribute__((vector_size(64)));
+
+/// What the leaf loop reads of a candidate, side by side.
+struct Packed {
+    double ax, ay, az, dx, dy, dz, inverse_length2, arc0, length;
+    std::int64_t line;
+};
+
+/// Line, and arc length if asked for, of the nearest candidate for each voxel of the leaf at
+/// `origin`. The same arithmetic as distance2(), in the same order, so that ties fall the same way.
+SEKITEI_WIDE void nearest_in_rows(Coord origin, const Packed* candidates, std::size_t n,
+                                  std::int32_t* __restrict line, double* __restrict arc)
+{
+    const Row steps{0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5};
+    const Row zero{}, one = zero + 1.0, z = steps + double(origin.z);
+    for (int row = 0; row < kLeafEdge * kLeafEdge; ++row) {
+        const double x = origin.x + (row >> 3) + 0.5, y = origin.y + (row & 7) + 0.5;
+        Row least = zero + kInfinity, along = zero;
+        RowIds owner{};
+        for (std::size_t j = 0; j < n; ++j) {
+            const Packed& c = candidates[j];
+            const double px = x - c.ax, py = y - c.ay;
+            const double level = px * c.dx + py * c.dy;
+            const Row pz = z - c.az;
+            Row t = (level + pz * c.dz) * c.inverse_length2;
+            t = t > zero ? t : zero;
+            t = t < one ? t : one;
+            const Row rx = px - c.dx * t, ry = py - c.dy * t, rz = pz - c.dz * t;
+            const Row d2 = rx * rx + ry * ry + rz * rz;
+            const RowIds nearer = d2 < least;
+            least = nearer ? d2 : least;
+            owner = nearer ? RowIds{} + c.line : owner;
+            along = nearer ? c.arc0 + t * c.length : along;
+        }
+        for (int k = 0; k < kLeafEdge; ++k)
+            line[row * kLeafEdge + k] = static_cast<std::int32_t>(owner[k]);
+        if (arc)
+            for (int k = 0; k < kLeafEdge; ++k) arc[row * kLeafEdge + k] = along[k];
+    }
 }
 
 }  // namespace
@@ -309,42 +343,69 @@ void PolylineIndex::candidates(Vec3d centre, double rho, Candidates& out) const
 
 void PolylineIndex::narrow(const Candidates& from, Vec3d centre, double half, Candidates& out)
 {
-    clear(out);
-    thread_local std::vector<double> d2;
-    distances2(centre, from, d2);
-    const auto best = std::min_element(d2.begin(), d2.end());
-    if (best == d2.end()) return;
+    const std::size_t n = from.segments.size();
+    struct Work {
+        std::vector<double> wx, wy, wz, w2, kept;
+        std::vector<std::uint32_t> chosen;
+    };
+    thread_local Work w;
+    for (auto* v : {&w.wx, &w.wy, &w.wz, &w.w2, &w.kept}) v->resize(n);
+    ways_to(centre, from.ax.data(), from.ay.data(), from.az.data(), from.dx.data(), from.dy.data(),
+            from.dz.data(), from.inverse_length2.data(), n, w.wx.data(), w.wy.data(), w.wz.data(),
+            w.w2.data());
 
-    // The distance to a segment is convex: its largest value in the cube is at a corner.
-    const Segment nearest = segment_of(from, static_cast<std::size_t>(best - d2.begin()));
-    double worst2 = 0;
-    for (int corner = 0; corner < 8; ++corner) {
-        const Vec3d p = centre + Vec3d(corner & 1 ? half : -half, corner & 2 ? half : -half,
-                                       corner & 4 ? half : -half);
-        worst2 = std::max(worst2, distance2(p, nearest));
+    // The nearest few are the rivals that may beat the others in the whole cube.
+    std::fill(w.kept.begin(), w.kept.end(), 1.0);
+    double beyond2 = -1;
+    for (int rival = 0; rival < kRivals; ++rival) {
+        std::size_t nearest = n;
+        for (std::size_t j = 0; j < n; ++j)
+            if (w.w2[j] > beyond2 && w.kept[j] > 0 && (nearest == n || w.w2[j] < w.w2[nearest]))
+                nearest = j;
+        if (nearest == n) break;
+        beyond2 = w.w2[nearest];
+        const Segment segment = segment_of(from, nearest);
+        double corner_distance[8];
+        for (int k = 0; k < 8; ++k)
+            corner_distance[k] = std::sqrt(distance2(
+                centre + Vec3d(k & 1 ? half : -half, k & 2 ? half : -half, k & 4 ? half : -half),
+                segment));
+        beaten_in_cube(half, corner_distance, w.wx.data(), w.wy.data(), w.wz.data(), w.w2.data(), n,
+                       w.kept.data());
     }
-    const double reach = (std::sqrt(worst2) + half * std::sqrt(3.0)) * (1 + kMargin) + kMargin;
-    for (std::size_t j = 0; j < d2.size(); ++j)
-        if (d2[j] <= reach * reach) push(out, from.segments[j], segment_of(from, j));
+
+    w.chosen.clear();
+    for (std::size_t j = 0; j < n; ++j)
+        if (w.kept[j] > 0) w.chosen.push_back(static_cast<std::uint32_t>(j));
+    auto pick = [&](const auto& source, auto& target) {
+        target.resize(w.chosen.size());
+        for (std::size_t k = 0; k < w.chosen.size(); ++k) target[k] = source[w.chosen[k]];
+    };
+    pick(from.segments, out.segments);
+    pick(from.ax, out.ax);
+    pick(from.ay, out.ay);
+    pick(from.az, out.az);
+    pick(from.dx, out.dx);
+    pick(from.dy, out.dy);
+    pick(from.dz, out.dz);
+    pick(from.inverse_length2, out.inverse_length2);
+    pick(from.arc0, out.arc0);
+    pick(from.length, out.length);
+    pick(from.line, out.line);
+    out.lines.clear();
+    for (const std::int32_t line : out.line)
+        if (out.lines.empty() || out.lines.back() != line) out.lines.push_back(line);
 }
 
 void PolylineIndex::nearest_in_leaf(Coord origin, const Candidates& c, std::int32_t* line,
                                     double* arc)
 {
-    double z[kLeafEdge], index[kLeafEdge];
-    for (int k = 0; k < kLeafEdge; ++k) z[k] = origin.z + k + 0.5;
-    for (int row = 0; row < kLeafEdge * kLeafEdge; ++row) {
-        const double x = origin.x + (row >> 3) + 0.5, y = origin.y + (row & 7) + 0.5;
-        nearest_in_row(x, y, z, c.ax.data(), c.ay.data(), c.az.data(), c.dx.data(), c.dy.data(),
-                       c.dz.data(), c.inverse_length2.data(), c.segments.size(), index);
-        for (int k = 0; k < kLeafEdge; ++k) {
-            const auto j = static_cast<std::size_t>(index[k]);
-            const int offset = row * kLeafEdge + k;
-            if (line) line[offset] = c.line[j];
-            if (arc)
-                arc[offset] = c.arc0[j] + parameter({x, y, z[k]}, segment_of(c, j)) * c.length[j];
-        }
-    }
+    thread_local std::vector<Packed> packed;
+    packed.clear();
+    for (std::size_t j = 0; j < c.segments.size(); ++j)
+        packed.push_back({c.ax[j], c.ay[j], c.az[j], c.dx[j], c.dy[j], c.dz[j],
+                          c.inverse_length2[j], c.arc0[j], c.length[j], c.line[j]});
+    nearest_in_rows(origin, packed.data(), packed.size(), line, arc);
 }
 
 NearestPoint PolylineIndex::nearest(Vec3d p, const Candidates& candidates)

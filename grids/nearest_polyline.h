@@ -41,14 +41,14 @@ public:
     };
     void candidates(Vec3d centre, double rho, Candidates& out) const;
 
-    /// Those of `from` that can be nearest for some point of the cube centre +- half, by tighter
-    /// bounds: a segment is left out if it is farther from the whole cube than another segment is
-    /// from the cube's farthest corner. `from` must hold the candidates of a larger region.
+    /// Those of `from` that can be nearest for some point of the cube centre +- half, without those
+    /// that one near segment beats in the whole cube. `from` must hold the candidates of a larger
+    /// region, and be another object than `out`.
     static void narrow(const Candidates& from, Vec3d centre, double half, Candidates& out);
 
-    /// Nearest over the candidates for the 512 voxel centres of the leaf at `origin`, in leaf order.
-    /// Same line and arc as nearest(), several voxels at a time.
-    /// @param line  512 line ids, or null
+    /// Nearest over the candidates for the 512 voxel centres of the leaf at `origin`, in leaf
+    /// order. Same line and arc as nearest(), several voxels at a time.
+    /// @param line  512 line ids
     /// @param arc   512 arc lengths [voxels], or null
     static void nearest_in_leaf(Coord origin, const Candidates& candidates, std::int32_t* line,
                                 double* arc);
