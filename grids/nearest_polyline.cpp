@@ -21,7 +21,7 @@ constexpr double kMargin = 1e-9;
 /// A tree leaf holds at most this many boxes.
 constexpr std::size_t kTreeLeaf = 4;
 /// How many near segments may each rule out others in a cube.
-constexpr int kRivals = 3;
+constexpr int kRivals = 2;
 /// Long oblique segments enter the tree as several boxes, each at most this wide [voxels].
 constexpr double kBoxWidth = 8;
 
@@ -76,30 +76,21 @@ double box_distance2(Vec3d p, Vec3d lower, Vec3d upper)
     return dot(r, r);
 }
 
-void clear(PolylineIndex::Candidates& out)
+/// Room for n candidates.
+void resize(PolylineIndex::Candidates& out, std::size_t n)
 {
-    out.segments.clear();
-    out.lines.clear();
+    out.segments.resize(n);
     for (auto* v : {&out.ax, &out.ay, &out.az, &out.dx, &out.dy, &out.dz, &out.inverse_length2,
                     &out.arc0, &out.length})
-        v->clear();
-    out.line.clear();
+        v->resize(n);
+    out.line.resize(n);
 }
 
-void push(PolylineIndex::Candidates& out, std::uint32_t id, const Segment& s)
+void set_lines(PolylineIndex::Candidates& out)
 {
-    out.segments.push_back(id);
-    out.ax.push_back(s.a.x);
-    out.ay.push_back(s.a.y);
-    out.az.push_back(s.a.z);
-    out.dx.push_back(s.d.x);
-    out.dy.push_back(s.d.y);
-    out.dz.push_back(s.d.z);
-    out.inverse_length2.push_back(s.inverse_length2);
-    out.arc0.push_back(s.arc0);
-    out.length.push_back(s.length);
-    out.line.push_back(s.line);
-    if (out.lines.empty() || out.lines.back() != s.line) out.lines.push_back(s.line);
+    out.lines.clear();
+    for (const std::int32_t line : out.line)
+        if (out.lines.empty() || out.lines.back() != line) out.lines.push_back(line);
 }
 
 /// Ways from the nearest point of each candidate to p, and their squared lengths.
@@ -323,7 +314,6 @@ std::size_t PolylineIndex::segment_count() const
 
 void PolylineIndex::candidates(Vec3d centre, double rho, Candidates& out) const
 {
-    clear(out);
     const State& s = *state_;
     double least2 = kInfinity;
     s.nearest_first(centre, least2, [&](std::uint32_t j) {
@@ -338,7 +328,22 @@ void PolylineIndex::candidates(Vec3d centre, double rho, Candidates& out) const
     });
     std::sort(ids.begin(), ids.end());
     ids.erase(std::unique(ids.begin(), ids.end()), ids.end());
-    for (const std::uint32_t j : ids) push(out, j, s.segments[j]);
+    resize(out, ids.size());
+    for (std::size_t k = 0; k < ids.size(); ++k) {
+        const Segment& segment = s.segments[ids[k]];
+        out.segments[k] = ids[k];
+        out.ax[k] = segment.a.x;
+        out.ay[k] = segment.a.y;
+        out.az[k] = segment.a.z;
+        out.dx[k] = segment.d.x;
+        out.dy[k] = segment.d.y;
+        out.dz[k] = segment.d.z;
+        out.inverse_length2[k] = segment.inverse_length2;
+        out.arc0[k] = segment.arc0;
+        out.length[k] = segment.length;
+        out.line[k] = segment.line;
+    }
+    set_lines(out);
 }
 
 void PolylineIndex::narrow(const Candidates& from, Vec3d centre, double half, Candidates& out)
@@ -392,9 +397,7 @@ void PolylineIndex::narrow(const Candidates& from, Vec3d centre, double half, Ca
     pick(from.arc0, out.arc0);
     pick(from.length, out.length);
     pick(from.line, out.line);
-    out.lines.clear();
-    for (const std::int32_t line : out.line)
-        if (out.lines.empty() || out.lines.back() != line) out.lines.push_back(line);
+    set_lines(out);
 }
 
 void PolylineIndex::nearest_in_leaf(Coord origin, const Candidates& c, std::int32_t* line,
