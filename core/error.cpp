@@ -18,11 +18,13 @@ std::string bytes_text(double bytes)
 
 std::string count_text(double count)
 {
-    if (count < 1e4) return fmt::format("{:.0f}", count);
-    if (count < 1e6) return fmt::format("{:.3g} thousand", count / 1e3);
-    if (count < 1e9) return fmt::format("{:.3g} million", count / 1e6);
-    if (count < 1e15) return fmt::format("{:.3g} billion", count / 1e9);
-    return fmt::format("{:.1e}", count);
+    if (count < 9999.5) return fmt::format("{:.0f}", count);
+    static constexpr const char* kWords[] = {"thousand", "million", "billion", "trillion"};
+    for (const char* word : kWords) {
+        count /= 1000;
+        if (count < 999.5) return fmt::format("{:.3g} {}", count, word);
+    }
+    return fmt::format("{:.1e}", count * 1e12);
 }
 
 }  // namespace sekitei

@@ -51,6 +51,8 @@ double cos_kernel(double r)
 /// Reduces x to r in [-pi/4, pi/4] and the quadrant.
 double reduce(double x, int& quadrant)
 {
+    quadrant = 0;
+    if (!(std::abs(x) < 0x1p52)) return std::nan("");  // no digit of the angle is left
     const double k = nearest(x / (kPi / 2));
     quadrant = static_cast<int>(static_cast<long long>(k) & 3);
     return ((x - k * kPio2High) - k * kPio2Middle) - k * kPio2Low;
@@ -65,6 +67,67 @@ double atan_kernel(double x)
     double s = 0;
     for (int k = 23; k >= 1; k -= 2) s = 1.0 / k - q * s;
     return 4.0 * t * s;
+}
+
+/// A number as the unevaluated sum of two doubles.
+struct Pair {
+    double high, low;
+};
+
+/// a + b exactly, |a| >= |b|.
+Pair exact_sum(double a, double b)
+{
+    const double sum = a + b;
+    return {sum, b - (sum - a)};
+}
+
+/// a * b exactly, by splitting the factors in halves [Dekker1971]; |a|, |b| < 1e290.
+Pair exact_product(double a, double b)
+{
+    constexpr double kSplit = 0x1p27 + 1;
+    const double ca = kSplit * a, cb = kSplit * b;
+    const double ah = ca - (ca - a), al = a - ah, bh = cb - (cb - b), bl = b - bh;
+    const double product = a * b;
+    return {product, ((ah * bh - product) + ah * bl + al * bh) + al * bl};
+}
+
+/// log(x), x > 0 and finite, to some 70 bits: pow multiplies its error by up to 745.
+Pair log_pair(double x)
+{
+    int k = 0;
+    if (x < std::numeric_limits<double>::min()) {  // subnormal: the exponent field says nothing
+        x *= 0x1p54;
+        k = -54;
+    }
+    const std::uint64_t bits = std::bit_cast<std::uint64_t>(x);
+    k += static_cast<int>(bits >> 52) - 1023;
+    double m = std::bit_cast<double>((bits & 0xFFFFFFFFFFFFFu) | (1023ull << 52));  // [1, 2)
+    if (m > 1.41421356237309505) {
+        m *= 0.5;
+        ++k;
+    }
+    // log m = 2 atanh(z), z = (m - 1) / (m + 1), |z| < 0.172. m - 1 is exact; m + 1 is d + e, and
+    // the remainder of the division gives z its lower half.
+    const double f = m - 1;
+    const auto [d, e] = exact_sum(2.0, f);
+    const double z = f / d;
+    const Pair zd = exact_product(z, d);
+    const double z_low = ((f - zd.high) - zd.low - z * e) / d;
+    const Pair q = exact_product(z, z);
+    const double q_low = q.low + 2 * z * z_low;
+    // z^3 / 3 in two parts, the rest of the series in one
+    const Pair cube = exact_product(z, q.high);
+    const double third = cube.high / 3;
+    const Pair back = exact_product(third, 3);
+    const double third_low =
+        (((cube.high - back.high) - back.low) + cube.low + z * q_low + z_low * q.high) / 3;
+    double s = 0;
+    for (int n = 23; n >= 5; n -= 2) s = (s + 1.0 / n) * q.high;
+    const double rest = s * z * q.high;
+    // Sum from the largest: k ln 2, 2 z, 2 z^3 / 3, the low parts.
+    const Pair a = exact_sum(2 * z, 2 * third);
+    const Pair b = k == 0 ? Pair{a.high, 0} : exact_sum(k * kLn2High, a.high);
+    return exact_sum(b.high, b.low + (a.low + (k * kLn2Low + 2 * (z_low + third_low + rest))));
 }
 
 }  // namespace
@@ -85,25 +148,23 @@ double exp(double x)
 double log(double x)
 {
     if (!(x > 0)) return x == 0 ? -std::numeric_limits<double>::infinity() : std::nan("");
-    const std::uint64_t bits = std::bit_cast<std::uint64_t>(x);
-    int k = static_cast<int>(bits >> 52) - 1023;
-    double m = std::bit_cast<double>((bits & 0xFFFFFFFFFFFFFu) | (1023ull << 52));  // [1, 2)
-    if (m > 1.41421356237309505) {
-        m *= 0.5;
-        ++k;
-    }
-    // log m = 2 atanh(z), z = (m - 1) / (m + 1), |z| < 0.172
-    const double z = (m - 1) / (m + 1), q = z * z;
-    double s = 0;
-    for (int n = 21; n >= 3; n -= 2) s = (s + 1.0 / n) * q;
-    return k * kLn2High + (2 * z + (2 * z * s + k * kLn2Low));
+    if (std::isinf(x)) return x;
+    return log_pair(x).high;
 }
 
 double pow(double base, double exponent)
 {
-    if (exponent == 0) return 1;
-    if (base == 0) return exponent > 0 ? 0 : std::numeric_limits<double>::infinity();
-    return exp(exponent * log(base));
+    constexpr double kInfinity = std::numeric_limits<double>::infinity();
+    if (exponent == 0 || base == 1) return 1;
+    if (std::isnan(exponent) || !(base >= 0)) return std::nan("");
+    if (exponent == 1) return base;
+    if (exponent == 2) return base * base;
+    if (base == 0 || std::isinf(base)) return (base == 0) == (exponent > 0) ? 0 : kInfinity;
+    const auto [high, low] = log_pair(base);
+    const double rough = exponent * high;
+    if (!(std::abs(rough) < 800)) return rough > 0 ? kInfinity : 0;
+    const Pair power = exact_product(exponent, high);
+    return exp(power.high) * (1 + (power.low + exponent * low));
 }
 
 double sin(double x)
@@ -125,6 +186,10 @@ double cos(double x)
 double atan2(double y, double x)
 {
     if (x == 0 && y == 0) return 0;
+    if (std::isinf(x) && std::isinf(y)) {
+        x = std::copysign(1.0, x);
+        y = std::copysign(1.0, y);
+    }
     if (std::abs(y) <= std::abs(x)) {
         const double a = atan_kernel(y / x);
         return x > 0 ? a : (y >= 0 ? a + kPi : a - kPi);

@@ -23,7 +23,8 @@ struct FractalNoise {
     double operator()(Vec3d p) const;
 };
 
-/// One octave of gradient noise [Perlin2002] in [-1, 1], zero on lattice points.
+/// One octave of gradient noise [Perlin2002], scaled to lie within [-1, 1]; zero on lattice points.
+/// Components of p below 9e18.
 double gradient_noise(std::uint64_t key, Vec3d p);
 
 }  // namespace sekitei

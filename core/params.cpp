@@ -4,8 +4,8 @@
 #include <fmt/ranges.h>
 
 #include <algorithm>
+#include <charconv>
 #include <cmath>
-#include <sstream>
 
 #include "core/error.h"
 #include "core/units.h"
@@ -16,14 +16,32 @@ namespace {
 /// A JSON value as a user would write it, cut to a length that fits a message.
 std::string shown(const Json& value)
 {
-    std::string text = value.is_string() ? value.get<std::string>() : value.dump();
-    if (text.size() > 60) text = text.substr(0, 57) + "...";
-    return text;
+    // Text that is no UTF-8 must not make dump() throw an error of its own.
+    std::string text = value.is_string()
+                           ? value.get<std::string>()
+                           : value.dump(-1, ' ', false, Json::error_handler_t::replace);
+    if (text.size() <= 60) return text;
+    std::size_t end = 57;
+    while (end > 0 && (static_cast<unsigned char>(text[end]) & 0xC0) == 0x80) --end;
+    return text.substr(0, end) + "...";
 }
 
 [[noreturn]] void reject(const Param& p, const Json& value, const std::string& expected)
 {
     throw InvalidParameter(fmt::format("{} = {}, must be {}", p.name, shown(value), expected));
+}
+
+/// "1,2,3" as three texts; a comma at the end begins an empty one.
+Json split_at_commas(std::string_view text)
+{
+    Json parts = Json::array();
+    if (text.empty()) return parts;
+    for (std::size_t begin = 0; begin <= text.size();) {
+        const std::size_t end = std::min(text.find(',', begin), text.size());
+        parts.push_back(std::string(text.substr(begin, end - begin)));
+        begin = end + 1;
+    }
+    return parts;
 }
 
 double checked(const Param& p, double number)
@@ -104,10 +122,7 @@ void Param::set_text(std::string_view text) const
 {
     if (kind == Kind::Vector || kind == Kind::List) {
         if (optional && text == "auto") return set(nullptr);
-        Json parts = Json::array();
-        std::stringstream stream{std::string(text)};
-        for (std::string part; std::getline(stream, part, ',');) parts.push_back(part);
-        return set(parts);
+        return set(split_at_commas(kind == Kind::List && text == "none" ? "" : text));
     }
     set(Json(std::string(text)));
 }
@@ -146,6 +161,9 @@ std::string nearest_name(std::string_view name, const std::vector<std::string>& 
     std::string best;
     std::size_t least = std::max<std::size_t>(2, name.size() / 2) + 1;
     for (const std::string& candidate : known) {
+        const std::size_t longer = std::max(name.size(), candidate.size()),
+                          shorter = std::min(name.size(), candidate.size());
+        if (longer - shorter >= least) continue;
         const std::size_t d = distance(name, candidate);
         if (d < least) {
             least = d;
@@ -195,10 +213,16 @@ Json params_schema(const ParamList& params)
                 entry["type"] = "array";
                 break;
         }
-        if (p.optional && p.kind == Param::Kind::Integer)
-            entry["type"] = {"integer", "string", "null"};
-        else if (p.optional && entry.contains("type"))
-            entry["type"] = {"number", "string", "null"};
+        if (p.optional && p.kind == Param::Kind::Choice)
+            entry["enum"].push_back("auto");
+        else if (p.optional) {
+            // "auto" and null stand for an empty value
+            Json types = entry["type"].is_array() ? entry["type"] : Json::array({entry["type"]});
+            for (const char* type : {"string", "null"})
+                if (std::find(types.begin(), types.end(), Json(type)) == types.end())
+                    types.push_back(type);
+            entry["type"] = std::move(types);
+        }
         if (!p.unit.empty()) entry["unit"] = p.unit;
         if (std::isfinite(p.range.lower))
             entry[p.range.without_lower ? "exclusiveMinimum" : "minimum"] = p.range.lower;
@@ -244,15 +268,48 @@ double number_from(const Param& p, const Json& value)
 std::int64_t integer_from(const Param& p, const Json& value)
 {
     if (value.is_number_unsigned() && value.get<std::uint64_t>() > 0x7FFFFFFFFFFFFFFFu)
-        return static_cast<std::int64_t>(value.get<std::uint64_t>());
+        reject(p, value, "an integer below 9.2e18");
     if (value.is_number_integer()) {
         checked(p, static_cast<double>(value.get<std::int64_t>()));
         return value.get<std::int64_t>();
+    }
+    // Digits alone are taken as they are: a double would lose those behind the sixteenth.
+    if (value.is_string()) {
+        const auto& text = value.get_ref<const std::string&>();
+        std::int64_t exact = 0;
+        const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), exact);
+        if (error == std::errc{} && end == text.data() + text.size())
+            return integer_from(p, Json(exact));
     }
     const double number = number_from(p, value);
     if (number != std::floor(number)) reject(p, value, p.type_text());
     if (std::abs(number) > 9e15) reject(p, value, "an integer below 9e15");
     return static_cast<std::int64_t>(number);
+}
+
+std::uint64_t unsigned_from(const Param& p, const Json& value)
+{
+    std::uint64_t large = 0;
+    bool exact = value.is_number_unsigned();
+    if (exact)
+        large = value.get<std::uint64_t>();
+    else if (value.is_string()) {
+        const auto& text = value.get_ref<const std::string&>();
+        const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), large);
+        exact = error == std::errc{} && end == text.data() + text.size();
+    }
+    if (exact) {
+        checked(p, static_cast<double>(large));
+        return large;
+    }
+    const std::int64_t number = integer_from(p, value);
+    if (number < 0) reject_width(p, value, 0, 0x1p64);
+    return static_cast<std::uint64_t>(number);
+}
+
+void reject_width(const Param& p, const Json& value, double lower, double upper)
+{
+    reject(p, value, fmt::format("an integer from {} to {}", lower, upper));
 }
 
 bool flag_from(const Param& p, const Json& value)
@@ -288,14 +345,11 @@ std::string text_from(const Param& p, const Json& value)
 
 Vec3d vector_from(const Param& p, const Json& value)
 {
-    if (value.is_string())
-        return vector_from(p, [&] {
-            Json parts = Json::array();
-            std::stringstream stream{value.get<std::string>()};
-            for (std::string part; std::getline(stream, part, ',');) parts.push_back(part);
-            if (parts.size() < 2) reject(p, value, "three numbers x,y,z");
-            return parts;
-        }());
+    if (value.is_string()) {
+        const Json parts = split_at_commas(value.get_ref<const std::string&>());
+        if (parts.size() != 3) reject(p, value, "three numbers x,y,z");
+        return vector_from(p, parts);
+    }
     if (!value.is_array() || value.size() != 3) reject(p, value, "three numbers x,y,z");
     return {number_from(p, value[0]), number_from(p, value[1]), number_from(p, value[2])};
 }

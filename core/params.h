@@ -10,6 +10,7 @@
 #include <string>
 #include <string_view>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "core/vec.h"
@@ -97,6 +98,8 @@ concept Choice = std::is_enum_v<T>;
 
 double number_from(const Param& param, const Json& value);
 std::int64_t integer_from(const Param& param, const Json& value);
+std::uint64_t unsigned_from(const Param& param, const Json& value);
+[[noreturn]] void reject_width(const Param& param, const Json& value, double lower, double upper);
 bool flag_from(const Param& param, const Json& value);
 int choice_from(const Param& param, const Json& value);
 std::string text_from(const Param& param, const Json& value);
@@ -159,9 +162,15 @@ T from_json(const Param& p, const Json& v)
         return flag_from(p, v);
     else if constexpr (Choice<T>)
         return static_cast<T>(choice_from(p, v));
-    else if constexpr (std::is_integral_v<T>)
-        return static_cast<T>(integer_from(p, v));
-    else if constexpr (std::is_floating_point_v<T>)
+    else if constexpr (std::is_same_v<T, std::uint64_t>)
+        return unsigned_from(p, v);
+    else if constexpr (std::is_integral_v<T>) {
+        const std::int64_t number = integer_from(p, v);
+        if (!std::in_range<T>(number))
+            reject_width(p, v, static_cast<double>(std::numeric_limits<T>::min()),
+                         static_cast<double>(std::numeric_limits<T>::max()));
+        return static_cast<T>(number);
+    } else if constexpr (std::is_floating_point_v<T>)
         return static_cast<T>(number_from(p, v));
     else if constexpr (std::is_same_v<T, Vec3d>)
         return vector_from(p, v);

@@ -64,7 +64,7 @@ std::string_view trimmed(std::string_view text)
 double leading_number(std::string_view text, std::string_view& rest)
 {
     std::string_view body = trimmed(text);
-    if (!body.empty() && body.front() == '+') body.remove_prefix(1);
+    if (body.size() > 1 && body[0] == '+' && body[1] != '-') body.remove_prefix(1);
     double value = 0;
     const auto [end, error] = std::from_chars(body.data(), body.data() + body.size(), value);
     if (error != std::errc{} || !std::isfinite(value))
@@ -78,14 +78,18 @@ double leading_number(std::string_view text, std::string_view& rest)
 double parse_quantity(std::string_view text, std::string_view unit)
 {
     std::string_view suffix;
-    const double value = leading_number(text, suffix);
+    double value = leading_number(text, suffix);
     if (suffix.empty() || suffix == unit) return value;
     for (const Unit& u : kUnits)
-        if (u.name == suffix && u.dimension == unit) return value * u.factor + u.offset;
-    const std::string accepted = accepted_units(unit);
-    throw InvalidParameter(fmt::format(
-        "'{}' has the unit '{}', {}", text, suffix,
-        accepted.empty() ? "but a plain number is expected" : "expected one of: " + accepted));
+        if (u.name == suffix && u.dimension == unit) {
+            value = value * u.factor + u.offset;
+            if (!std::isfinite(value))
+                throw InvalidParameter(fmt::format("'{}' is too large", text));
+            return value;
+        }
+    throw InvalidParameter(
+        fmt::format("'{}' has the unit '{}', expected {}", text, suffix,
+                    unit.empty() ? "a plain number or %" : "one of: " + accepted_units(unit)));
 }
 
 std::string quantity_text(double value, std::string_view unit)
@@ -98,7 +102,7 @@ std::string accepted_units(std::string_view unit)
     std::string list;
     for (const Unit& u : kUnits)
         if (u.dimension == unit) list += (list.empty() ? "" : " ") + std::string(u.name);
-    return list;
+    return list.empty() ? std::string(unit) : list;
 }
 
 double parse_bytes(std::string_view text)
@@ -108,11 +112,13 @@ double parse_bytes(std::string_view text)
     static constexpr struct {
         std::string_view name;
         double factor;
-    } kSizes[] = {{"", 1},         {"B", 1},        {"k", 1e3},      {"kB", 1e3},    {"M", 1e6},
-                  {"MB", 1e6},     {"G", 1e9},      {"GB", 1e9},     {"T", 1e12},    {"TB", 1e12},
+    } kSizes[] = {{"", 1},         {"B", 1},        {"k", 1e3},      {"kB", 1e3},
+                  {"K", 1e3},      {"KB", 1e3},     {"M", 1e6},      {"MB", 1e6},
+                  {"G", 1e9},      {"GB", 1e9},     {"T", 1e12},     {"TB", 1e12},
                   {"KiB", 0x1p10}, {"MiB", 0x1p20}, {"GiB", 0x1p30}, {"TiB", 0x1p40}};
     for (const auto& size : kSizes)
-        if (size.name == suffix && value > 0) return value * size.factor;
+        if (size.name == suffix && value > 0 && std::isfinite(value * size.factor))
+            return value * size.factor;
     throw InvalidParameter(fmt::format("'{}' is not a size; write 8G, 500MB or 2GiB", text));
 }
 
