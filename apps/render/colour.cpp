@@ -83,7 +83,7 @@ Vec3f tone_map(Vec3f radiance)
     Vec3f out;
     for (int i = 0; i < 3; ++i) {
         const double own = static_cast<double>(radiance[i]);
-        out[i] = static_cast<float>(film(own + (luminance - own) * bright * 0.6));
+        out[i] = static_cast<float>(film(own + (luminance - own) * bright * 0.35));
     }
     return out;
 }

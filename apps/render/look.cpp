@@ -296,15 +296,31 @@ void RockLook::measure_columns()
 void RockLook::find_joints()
 {
     if (slots_.empty() || !slots_per_face_) return;
-    std::vector<std::uint32_t> first(mesh_.vertices.size(), 0);
-    vertex_joint_.assign(mesh_.vertices.size(), 0);
+    const std::size_t count = mesh_.vertices.size();
+    std::vector<std::uint32_t> first(count, 0);
+    joint_.assign(count, 0);
     for (std::size_t i = 0; i < mesh_.triangles.size(); ++i)
         for (const std::uint32_t v : mesh_.triangles[i]) {
             if (first[v] == 0)
                 first[v] = slots_[i];
             else if (first[v] != slots_[i])
-                vertex_joint_[v] = 1;
+                joint_[v] = 1;
         }
+    // The border follows triangles in a zigzag: spread it over the neighbours into a soft line.
+    std::vector<float> sum(count), weight(count);
+    for (int pass = 0; pass < 2; ++pass) {
+        std::fill(sum.begin(), sum.end(), 0.0f);
+        std::fill(weight.begin(), weight.end(), 0.0f);
+        for (const auto& t : mesh_.triangles) {
+            const float all = joint_[t[0]] + joint_[t[1]] + joint_[t[2]];
+            for (const std::uint32_t v : t) {
+                sum[v] += all;
+                weight[v] += 3;
+            }
+        }
+        for (std::size_t v = 0; v < count; ++v)
+            if (weight[v] > 0) joint_[v] = sum[v] / weight[v];
+    }
 }
 
 RockLook::Where RockLook::where(const SurfacePoint& p) const
@@ -317,8 +333,7 @@ RockLook::Where RockLook::where(const SurfacePoint& p) const
     const std::array<float, 3> share{1 - p.u - p.v, p.u, p.v};
     if (slots_per_face_) {
         w.column = slots_[p.triangle];
-        for (std::size_t k = 0; k < 3; ++k)
-            w.joint += share[k] * static_cast<float>(vertex_joint_[t[k]]);
+        for (std::size_t k = 0; k < 3; ++k) w.joint += share[k] * joint_[t[k]];
         return w;
     }
     w.column = slots_[heaviest_corner(mesh_, p)];
@@ -340,12 +355,12 @@ Material RockLook::surface(const SurfacePoint& p) const
         float weathered, roughness, rubble;
     };
     static constexpr std::array<Class, 6> kClasses{{
-        {{0.200f, 0.176f, 0.150f}, 0.80f, 0.62f, 0.5f},   // joint wall
-        {{0.130f, 0.136f, 0.142f}, 0.15f, 0.50f, 0.9f},   // cut face
-        {{0.225f, 0.140f, 0.096f}, 0.60f, 0.85f, 2.2f},   // cooling contact
-        {{0.165f, 0.158f, 0.150f}, 0.40f, 0.70f, 1.2f},   // slow contact
-        {{0.195f, 0.182f, 0.152f}, 1.00f, 0.75f, 1.3f},   // terrain
-        {{0.190f, 0.188f, 0.184f}, 0.05f, 0.65f, 0.35f},  // domain edge
+        {{0.134f, 0.124f, 0.112f}, 0.80f, 0.62f, 0.5f},   // joint wall
+        {{0.088f, 0.093f, 0.098f}, 0.15f, 0.50f, 0.9f},   // cut face
+        {{0.165f, 0.108f, 0.078f}, 0.60f, 0.85f, 2.2f},   // cooling contact
+        {{0.112f, 0.108f, 0.104f}, 0.40f, 0.70f, 1.2f},   // slow contact
+        {{0.138f, 0.130f, 0.112f}, 1.00f, 0.75f, 1.3f},   // terrain
+        {{0.140f, 0.138f, 0.136f}, 0.05f, 0.65f, 0.35f},  // domain edge
     }};
     const Class& look =
         kClasses[at.surface >= 0 && at.surface < 6 ? static_cast<std::size_t>(at.surface) : 0];
@@ -357,7 +372,7 @@ Material RockLook::surface(const SurfacePoint& p) const
     m.normal = p.normal;
     m.roughness = std::clamp(look.roughness + column.roughness, 0.3f, 1.0f);
     m.specular = 1;
-    const float crack = smooth(0.45f, 0.95f, at.joint);
+    const float crack = smooth(0.30f, 0.85f, at.joint);
     if (!p.seen) {
         m.albedo = colour * (1 - 0.6f * crack);
         m.roughness = 1;
@@ -409,7 +424,7 @@ Material RockLook::surface(const SurfacePoint& p) const
                             0.35f * mottle);
     colour *= 1 + 0.95f * std::clamp(mottle, -0.7f, 0.7f);
     const float iron = smooth(0.1f, 0.6f, warm + 0.5f * mottle) * look.weathered;
-    colour = mix(colour, Vec3f(colour.x * 1.22f, colour.y * 0.98f, colour.z * 0.74f), iron);
+    colour = mix(colour, Vec3f(colour.x * 1.20f, colour.y * 0.97f, colour.z * 0.76f), iron);
     colour *= 1 - 0.42f * streak;
 
     // Crust of crystals: sparse light grains.
@@ -424,12 +439,12 @@ Material RockLook::surface(const SurfacePoint& p) const
         const float pale = smooth(0.42f, 0.62f, blotch);
         const float orange =
             smooth(0.50f, 0.66f, noise(key_ + 25, q * 4.1f).value + 0.6f * mottle + 0.5f * ground);
-        colour = mix(colour, Vec3f(0.33f, 0.335f, 0.25f) * (1 + 0.8f * mottle), 0.62f * pale);
-        colour = mix(colour, Vec3f(0.40f, 0.235f, 0.07f) * (1 + 0.8f * mottle), 0.45f * orange);
+        colour = mix(colour, Vec3f(0.25f, 0.255f, 0.20f) * (1 + 0.8f * mottle), 0.62f * pale);
+        colour = mix(colour, Vec3f(0.30f, 0.175f, 0.055f) * (1 + 0.8f * mottle), 0.45f * orange);
         m.roughness = std::min(1.0f, m.roughness + 0.25f * std::max(pale, orange));
     }
     const float dust = up * look.weathered * smooth(-0.35f, 0.4f, mottle + 0.4f * warm);
-    colour = mix(colour, Vec3f(0.175f, 0.168f, 0.105f), 0.45f * dust);
+    colour = mix(colour, Vec3f(0.125f, 0.120f, 0.078f), 0.45f * dust);
 
     colour *= 1 - 0.82f * crack;
     for (int i = 0; i < 3; ++i) colour[i] = std::clamp(colour[i], 0.012f, 0.6f);
@@ -454,10 +469,10 @@ Material RockLook::ground(const SurfacePoint& p) const
         if (shown <= 0) break;
         const Noise n = noise(key_ + 40 + static_cast<std::uint32_t>(i), q / kPatch[i]);
         patch += 0.55f * shown * n.value;
-        slope += Vec3f(n.gradient.x, n.gradient.y, 0) * (0.045f * shown);
+        slope += Vec3f(n.gradient.x, n.gradient.y, 0) * (0.03f * shown);
     }
     const float grass = smooth(-0.10f, 0.35f, patch);
-    Vec3f colour = mix(Vec3f(0.160f, 0.142f, 0.118f), Vec3f(0.150f, 0.150f, 0.075f), grass);
+    Vec3f colour = mix(Vec3f(0.120f, 0.107f, 0.088f), Vec3f(0.108f, 0.113f, 0.052f), grass);
     if (!p.seen) {
         m.albedo = colour;
         return m;
@@ -468,7 +483,7 @@ Material RockLook::ground(const SurfacePoint& p) const
         if (shown <= 0) break;
         const Noise n = noise(key_ + 50 + static_cast<std::uint32_t>(i), q / kTone[i]);
         tone += 0.32f * shown * n.value;
-        slope += Vec3f(n.gradient.x, n.gradient.y, 0) * (0.16f * shown);
+        slope += Vec3f(n.gradient.x, n.gradient.y, 0) * (0.09f * shown);
     }
     colour *= 1 + tone;
     static constexpr std::array<float, 3> kStone{0.07f, 0.19f, 0.62f};
@@ -482,7 +497,7 @@ Material RockLook::ground(const SurfacePoint& p) const
         if (s.id > bare) continue;
         const float cover = s.cover * shown;
         const float value = 0.6f + 0.9f * s.id / bare;
-        colour = mix(colour, Vec3f(0.165f, 0.158f, 0.148f) * (value * (1 + 0.8f * tone)), cover);
+        colour = mix(colour, Vec3f(0.125f, 0.120f, 0.113f) * (value * (1 + 0.8f * tone)), cover);
         slope = slope * (1 - 0.7f * cover) + Vec3f(s.slope_x, s.slope_y, 0) * cover;
     }
     for (int i = 0; i < 3; ++i) colour[i] = std::clamp(colour[i], 0.02f, 0.6f);

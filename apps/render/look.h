@@ -94,9 +94,9 @@ private:
     const TriMesh& mesh_;
     std::uint32_t key_;
     float width_ = 1;
-    std::vector<Column> columns_;             // slot 0: no column known
-    std::vector<std::uint32_t> slots_;        // of triangles or vertices
-    std::vector<std::uint8_t> vertex_joint_;  // a vertex between triangles of different columns
+    std::vector<Column> columns_;       // slot 0: no column known
+    std::vector<std::uint32_t> slots_;  // of triangles or vertices
+    std::vector<float> joint_;          // of vertices: 1 where triangles of different columns meet
     bool slots_per_face_ = true;
     const std::vector<std::int32_t>* surface_ = nullptr;
     bool surface_per_face_ = true;

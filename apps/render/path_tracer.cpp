@@ -321,8 +321,10 @@ private:
             const float height = ridge_height(ridge, turn);
             if (d.z > height) continue;
             // Rock lit by the sky, seen through ever less air the nearer the ridge.
-            static constexpr float kClear[3] = {0.42f, 0.26f, 0.13f};
-            const float clear = kClear[ridge];
+            static constexpr float kClear[3] = {0.50f, 0.30f, 0.16f};
+            // Mist fills the foot of each.
+            const float clear =
+                kClear[ridge] * std::clamp(0.25f + 0.75f * d.z / height, 0.0f, 1.0f);
             const Vec3f rock = Vec3f(0.62f, 0.78f, 1.0f) * (world_.sky.white() * 0.22f);
             light = horizon(d) * (1 - clear) + rock * clear;
         }
@@ -332,8 +334,8 @@ private:
     /// Elevation of a far ridge, as sine, by midpoints of a periodic value noise over the azimuth.
     float ridge_height(int ridge, float turn) const
     {
-        static constexpr float kBase[3] = {0.012f, 0.026f, 0.042f};
-        static constexpr float kRelief[3] = {0.020f, 0.026f, 0.034f};
+        static constexpr float kBase[3] = {0.014f, 0.032f, 0.052f};
+        static constexpr float kRelief[3] = {0.020f, 0.034f, 0.046f};
         float sum = 0, weight = 1;
         int cells = 9 + 4 * ridge;
         for (int octave = 0; octave < 7; ++octave) {

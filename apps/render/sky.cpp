@@ -294,7 +294,8 @@ void Sky::finish(bool below)
     // A floor keeps the weight of any direction bounded.
     for (std::size_t i = 0; i < density_.size(); ++i) {
         if (below || i >= density_.size() / 2)
-            density_[i] = std::max(density_[i], static_cast<float>(greatest * 0.02));
+            density_[i] =
+                std::max(density_[i], greatest > 0 ? static_cast<float>(greatest * 0.02) : 1.0f);
         total += density_[i];
         cumulative_[i + 1] = static_cast<float>(total);
     }

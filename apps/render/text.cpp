@@ -194,13 +194,10 @@ Ticks ticks(double low, double high, int count)
         power *= 10;
         ++exponent;
     }
-    double step = power * 10;
-    for (const double m : {1.0, 2.0, 5.0})
-        if (rough <= m * power * 1.0001) {
-            step = m * power;
-            break;
-        }
-    if (step > power * 5) ++exponent;
+    // Between steps the geometric mean decides.
+    const double share = rough / power;
+    const double step = power * (share < 1.41 ? 1 : share < 3.16 ? 2 : share < 7.07 ? 5 : 10);
+    if (share >= 7.07) ++exponent;
     for (double k = std::ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; ++k)
         t.values.push_back(k * step == 0 ? 0.0 : k * step);
     const double most = std::max(std::abs(low), std::abs(high));
