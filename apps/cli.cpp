@@ -269,6 +269,7 @@ int parse_and_run(int argc, char** argv)
 
 int run_command_line(int argc, char** argv)
 {
+    hold_standard_descriptors();
     install_signal_handlers();
     log::set_sink([](log::Level level, const std::string& line) {
         clear_progress_line();

@@ -1,5 +1,6 @@
 #include "apps/console.h"
 
+#include <fcntl.h>
 #include <fmt/format.h>
 #include <unistd.h>
 
@@ -33,6 +34,13 @@ double seconds_since(Clock::time_point start)
 }
 
 }  // namespace
+
+void hold_standard_descriptors()
+{
+    for (int fd = STDIN_FILENO; fd <= STDERR_FILENO; ++fd)
+        if (::fcntl(fd, F_GETFD) == -1)  // open() takes the lowest free number, which is this one
+            ::open("/dev/null", fd == STDIN_FILENO ? O_WRONLY : O_RDONLY);
+}
 
 void install_signal_handlers()
 {
