@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <optional>
+#include <set>
 
 #include "apps/commands/commands.h"
 #include "apps/console.h"
@@ -27,6 +28,20 @@ bool is_mesh_name(const std::string& name)
     return std::find(kMeshSuffixes.begin(), kMeshSuffixes.end(), suffix) != kMeshSuffixes.end();
 }
 
+/// The mesh that goes beside a scene file of the same name.
+fs::path mesh_beside(const std::string& scene) { return fs::path(scene).replace_extension(".ply"); }
+
+/// Every file that the outputs of the command line stand for.
+std::vector<fs::path> targets_of(const StageInfo& info, const Common& common)
+{
+    std::vector<fs::path> targets;
+    for (const std::string& name : common.output) {
+        targets.emplace_back(name);
+        if (info.output == OutputKind::Mesh && name != "-" && !is_mesh_name(name)) targets.push_back(mesh_beside(name));
+    }
+    return targets;
+}
+
 /// Refuses now what could not be written later.
 void check_outputs(const StageInfo& info, const Common& common)
 {
@@ -48,9 +63,15 @@ void check_outputs(const StageInfo& info, const Common& common)
                                                info.output == OutputKind::Picture ? ".png"
                                                : info.output == OutputKind::Mesh ? ".ply, .obj, .stl, .off, .glb or .vdb"
                                                                                  : ".vdb"));
-        check_target(name);
-        if (!common.force && fs::exists(name))
-            throw InvalidParameter(fmt::format("{} exists; replace it with --force", name));
+    }
+    std::set<fs::path> seen;
+    for (const fs::path& target : targets_of(info, common)) {
+        if (!seen.insert(target.lexically_normal()).second)
+            throw InvalidParameter(fmt::format("-o {}: would be written twice", target.string()));
+        if (target == "-") continue;
+        check_target(target);
+        if (!common.force && fs::exists(target))
+            throw InvalidParameter(fmt::format("{} exists; replace it with --force", target.string()));
     }
 }
 
@@ -60,7 +81,10 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common)
     ReadOptions options;
     options.fix_nan = common.fix_nan;
     options.memory_limit = common.memory_limit;
-    if (stage.info().output != OutputKind::Scene) {
+    const bool passed_on = std::any_of(common.output.begin(), common.output.end(), [](const std::string& target) {
+        return fs::path(target).extension() == ".vdb";
+    });
+    if (stage.info().output != OutputKind::Scene && !passed_on) {
         // Nothing is passed on, so only what is needed is loaded.
         for (const std::string& need : stage.needs()) options.only.insert(need);
         options.keep_foreign = false;
@@ -127,7 +151,7 @@ void write_result(Stage& stage, const Scene& scene, const std::string& name)
         case OutputKind::Mesh:
             if (name == "-") return write_to_stdout(encode_mesh(scene.meshes.at("rock"), ".ply"));
             if (is_mesh_name(name)) return write_mesh(name, scene.meshes.at("rock"));
-            write_mesh(fs::path(name).replace_extension(".ply"), scene.meshes.at("rock"));
+            write_mesh(mesh_beside(name), scene.meshes.at("rock"));
             write_vdb(name, scene);
             return;
         case OutputKind::Scene:
