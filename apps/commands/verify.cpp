@@ -19,6 +19,8 @@ int command_verify(const std::vector<std::string>& files, const Common& common)
         if (std::filesystem::path(file).extension() == ".json") {
             for (const std::string& name : verify_manifest(file)) found.push_back(fmt::format("{}: {}", file, name));
         }
+        else if (!std::filesystem::exists(file))
+            throw InvalidInput(fmt::format("{}: no such file", file));
         else {
             try {
                 const VerifyResult result = verify_vdb(file);

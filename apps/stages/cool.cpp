@@ -59,7 +59,16 @@ public:
             checkpoint.save = [&](const std::string& bytes) { write_file(context.checkpoint, bytes); };
             if (std::filesystem::exists(context.checkpoint)) checkpoint.resume = read_file(context.checkpoint);
         }
-        cooling::Result result = cooling::run(inputs, params_, checkpoint, context.progress);
+        cooling::Result result = [&] {
+            try {
+                return cooling::run(inputs, params_, checkpoint, context.progress);
+            } catch (const InvalidInput& error) {
+                // The solver knows the checkpoint's bytes, not where they came from.
+                const std::string_view what = error.what();
+                if (checkpoint.resume.empty() || what.find("checkpoint") == std::string_view::npos) throw;
+                throw InvalidInput(context.checkpoint.string() + ": " + error.what(), error.code());
+            }
+        }();
         if (!context.checkpoint.empty()) {
             std::error_code ignored;
             std::filesystem::remove(context.checkpoint, ignored);
