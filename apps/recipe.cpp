@@ -22,8 +22,10 @@ class Errors {
 public:
     explicit Errors(std::string file) : file_(std::move(file)) {}
 
+    /// Values given by --set were parsed under a name of their own.
     std::string place(const toml::source_region& source) const
     {
+        if (source.path && *source.path != file_) return *source.path;
         return fmt::format("{}:{}:{}", file_, source.begin.line, source.begin.column);
     }
     void add(const toml::source_region& source, const std::string& text)
@@ -128,16 +130,28 @@ struct Draft {
     RecipeStage stage;
     std::vector<std::string> from;
     bool from_given = false;
-    toml::source_region source;
+    toml::source_region source, write_source;
 };
+
+/// A stage's name is part of file names in the cache and of messages.
+bool usable_name(const std::string& name)
+{
+    constexpr std::size_t kLongestName = 100;
+    if (name.empty() || name.size() > kLongestName || name.front() == '.') return false;
+    return std::none_of(name.begin(), name.end(),
+                        [](char c) { return c == '/' || c == 0x7F || (c >= 0 && c < 0x20); });
+}
 
 /// Fills a draft from its table.
 void read_stage(const std::string& name, const toml::table& table, std::uint64_t seed, Draft& draft, Errors& errors)
 {
     draft.stage.name = name;
     draft.stage.seed = seed;
-    draft.source = table.source();
+    draft.source = draft.write_source = table.source();
     draft.stage.place = errors.place(table.source());
+    if (!usable_name(name))
+        return errors.add(table.source(), fmt::format("{}: a stage's name has 1 to 100 bytes, no '/' and no control characters, "
+                                                      "and does not begin with a dot", Json(name.substr(0, 40)).dump(-1, ' ', true, Json::error_handler_t::replace)));
     std::string process = name;
     if (const toml::node* node = table.get("stage")) {
         if (const auto* text = node->as_string()) process = text->get();
@@ -158,8 +172,10 @@ void read_stage(const std::string& name, const toml::table& table, std::uint64_t
                 draft.from = strings_of(*node, "from");
                 draft.from_given = true;
             }
-            else if (key == "write")
+            else if (key == "write") {
+                draft.write_source = node->source();
                 draft.stage.write = strings_of(*node, "write");
+            }
             else if (key == "seed")
                 draft.stage.seed = seed_of(*node);
             else if (const Param* param = find_param(params, key))
@@ -227,47 +243,49 @@ std::vector<std::size_t> sorted(const std::vector<Draft>& drafts, Errors& errors
 }
 
 /// Every grid, point set and mesh that a stage needs must be made by something it reads.
-void check_supplies(const Recipe& recipe, Errors& errors)
+void check_supplies(const std::vector<Draft>& drafts, const std::vector<std::size_t>& order, Errors& errors)
 {
-    std::vector<std::set<std::string>> visible(recipe.stages.size());
-    for (std::size_t i = 0; i < recipe.stages.size(); ++i) {
-        const RecipeStage& stage = recipe.stages[i];
-        for (const std::size_t parent : stage.from) visible[i].insert(visible[parent].begin(), visible[parent].end());
+    std::map<std::string, std::set<std::string>> visible;
+    for (const std::size_t i : order) {
+        const RecipeStage& stage = drafts[i].stage;
+        std::set<std::string>& here = visible[stage.name];
+        for (const std::string& parent : drafts[i].from) here.insert(visible[parent].begin(), visible[parent].end());
         for (const std::string& need : stage.process->needs()) {
-            if (visible[i].contains(need)) continue;
+            if (here.contains(need)) continue;
             std::string maker;
             for (const StageInfo& info : stage_infos())
                 for (const std::string& made : info.makes)
                     if (made == need) maker = info.name;
-            errors.add(stage.place,
+            errors.add(drafts[i].source,
                        fmt::format("{}: needs '{}', which no stage it reads makes{}", stage.name, need,
                                    maker.empty() ? "" : fmt::format("; add a `{}` stage before it", maker)));
         }
-        for (const std::string& made : stage.process->info().makes) visible[i].insert(made);
+        for (const std::string& made : stage.process->info().makes) here.insert(made);
     }
 }
 
 /// File names must suit the stage, stay inside the output folder and be used once.
-void check_writes(const Recipe& recipe, Errors& errors)
+void check_writes(const std::vector<Draft>& drafts, Errors& errors)
 {
     std::map<std::string, std::string> owner;
-    for (const RecipeStage& stage : recipe.stages)
+    for (const Draft& draft : drafts) {
+        const RecipeStage& stage = draft.stage;
+        if (!stage.process) continue;
         for (const std::string& name : stage.write) {
             const std::filesystem::path path(name);
             const auto& allowed = extensions_of(stage.process->info().output);
+            auto complain = [&](const std::string& text) {
+                errors.add(draft.write_source, fmt::format("{}.write: '{}' {}", stage.name, name, text));
+            };
             if (std::find(allowed.begin(), allowed.end(), path.extension().string()) == allowed.end())
-                errors.add(stage.place, fmt::format("{}.write: '{}' must end in one of: {}", stage.name, name,
-                                                    fmt::join(allowed, ", ")));
+                complain(fmt::format("must end in one of: {}", fmt::join(allowed, ", ")));
             const std::string plain = path.lexically_normal().string();
-            if (path.is_absolute() || plain.starts_with(".."))
-                errors.add(stage.place, fmt::format("{}.write: '{}' must lie inside the output folder", stage.name, name));
-            if (plain == "manifest.json" || plain.starts_with(".sekitei"))
-                errors.add(stage.place, fmt::format("{}.write: '{}' is a name the program uses itself", stage.name, name));
+            if (path.is_absolute() || plain.starts_with("..")) complain("must lie inside the output folder");
+            if (plain == "manifest.json" || plain.starts_with(".sekitei")) complain("is a name the program uses itself");
             const auto [other, is_new] = owner.emplace(plain, stage.name);
-            if (!is_new)
-                errors.add(stage.place, fmt::format("{}.write: '{}' is already written by the stage '{}'", stage.name,
-                                                    name, other->second));
+            if (!is_new) complain(fmt::format("is already written by the stage '{}'", other->second));
         }
+    }
 }
 
 /// Applies "a.b=value" to the parsed table, typed like TOML and, failing that, as text.
@@ -277,11 +295,19 @@ void apply_override(toml::table& root, const std::string& text)
     if (equals == std::string::npos || equals == 0)
         throw InvalidParameter(fmt::format("--set {}: expected stage.key=value", text));
     const std::string path = text.substr(0, equals), value = text.substr(equals + 1);
+    const std::string source = "--set " + text;
     toml::table parsed;
     try {
-        parsed = toml::parse("v = " + value);
+        parsed = toml::parse("v = " + value, source);
     } catch (const toml::parse_error&) {
-        parsed = toml::table{{"v", value}};
+        parsed.clear();
+    }
+    if (parsed.size() != 1) {
+        try {
+            parsed = toml::parse("v = " + Json(value).dump(-1, ' ', true, Json::error_handler_t::replace), source);
+        } catch (const toml::parse_error& error) {
+            throw InvalidParameter(fmt::format("{}: {}", source, error.description()));
+        }
     }
     toml::table* target = &root;
     std::string key = path;
@@ -333,11 +359,15 @@ Recipe read_recipe(const std::filesystem::path& file, const std::vector<std::str
         try {
             if (key == "sekitei") continue;
             if (key == "seed") recipe.seed = seed_of(*node);
-            else if (key == "out") recipe.out = strings_of(*node, "out").at(0);
+            else if (key == "out") {
+                const auto* folder = node->as_string();
+                if (!folder || folder->get().empty()) throw InvalidParameter("must be the name of a folder");
+                recipe.out = folder->get();
+            }
             else if (!node->is_table())
                 errors.add(node->source(),
                            fmt::format("{}: unknown key; the keys before the first table are sekitei, seed, out", key));
-        } catch (const std::exception& error) {
+        } catch (const Error& error) {
             errors.add(node->source(), fmt::format("{}: {}", key, error.what()));
         }
     }
@@ -357,7 +387,11 @@ Recipe read_recipe(const std::filesystem::path& file, const std::vector<std::str
                                                  draft.stage.process->info().name));
     if (drafts.empty()) errors.add(file.string() + ":1:1", "the recipe has no stage, expected tables such as [lava]");
 
+    // Links and supplies can be judged only where every stage is known.
+    const bool known = std::all_of(drafts.begin(), drafts.end(), [](const Draft& d) { return d.stage.process != nullptr; });
     const std::vector<std::size_t> order = sorted(drafts, errors);
+    if (known && order.size() == drafts.size()) check_supplies(drafts, order, errors);
+    check_writes(drafts, errors);
     errors.raise();
     std::map<std::string, std::size_t> position;
     for (const std::size_t i : order) {
@@ -366,9 +400,6 @@ Recipe read_recipe(const std::filesystem::path& file, const std::vector<std::str
         position[draft.stage.name] = recipe.stages.size();
         recipe.stages.push_back(std::move(draft.stage));
     }
-    check_supplies(recipe, errors);
-    check_writes(recipe, errors);
-    errors.raise();
     return recipe;
 }
 
