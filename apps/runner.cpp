@@ -154,6 +154,8 @@ private:
         lock_ = std::make_unique<FolderLock>(cache_);
         remove_stale_temporaries(cache_);
         remove_stale_temporaries(recipe_.out);
+        check_target(recipe_.out / "manifest.json");
+        refuse_foreign_manifest();
         for (std::size_t i = 0; i < recipe_.stages.size(); ++i) {
             if (!selected_[i]) continue;
             for (const std::string& name : stage(i).write) {
@@ -173,6 +175,16 @@ private:
         if (owned.contains(name) && (owned[name] == "" || owned[name] == file_hash(target))) return;
         throw InvalidParameter(fmt::format("{} exists and was not made by an earlier run here, or was changed since; "
                                            "move it away or allow replacing with --force", target.string()));
+    }
+
+    void refuse_foreign_manifest() const
+    {
+        const fs::path path = recipe_.out / "manifest.json";
+        if (options_.force || !fs::exists(path)) return;
+        const Json json = read_json(path);
+        if (json.is_object() && json.contains("sekitei") && json.contains("outputs")) return;
+        throw InvalidParameter(fmt::format("{} exists and is no manifest of this program; move it away or allow replacing with --force",
+                                           path.string()));
     }
 
     static Json read_json(const fs::path& path)
