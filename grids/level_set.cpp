@@ -258,21 +258,21 @@ int uniform_side(const Sides& sides, const LeafTopology::Neighbours& around)
     return in ? -1 : 1;
 }
 
-/// A level set on the leaves of `sides` that meet [-8, dims + 8); fill(leaf of sides, origin,
+/// A level set on the leaves of `sides` that meet [lower, upper); fill(leaf of sides, origin,
 /// values, mask) writes the leaves that are near a change of side.
 template <class Fill>
-FloatGrid band_of(const Sides& sides, const Domain& domain, const Progress& progress, Fill&& fill)
+FloatGrid band_of(const Sides& sides, const Transform& transform, Coord lower, Coord upper,
+                  const Progress& progress, Fill&& fill)
 {
-    const auto background = static_cast<float>(kBandVoxels * domain.transform.voxel);
+    const auto background = static_cast<float>(kBandVoxels * transform.voxel);
     const std::vector<LeafTopology::Neighbours>& around = sides.topology->neighbours();
-    const Coord upper = domain.dims + kHalo;
     std::vector<signed char> side(sides.topology->size());
     parallel_for(
         side.size(),
         [&](std::size_t leaf) {
             const Coord o = sides.topology->origin(leaf);
-            const bool covered = o.x >= -8 && o.y >= -8 && o.z >= -8 && o.x < upper.x &&
-                                 o.y < upper.y && o.z < upper.z;
+            const bool covered = o.x + 8 > lower.x && o.y + 8 > lower.y && o.z + 8 > lower.z &&
+                                 o.x < upper.x && o.y < upper.y && o.z < upper.z;
             side[leaf] = covered ? static_cast<signed char>(uniform_side(sides, around[leaf]))
                                  : static_cast<signed char>(1);
         },
@@ -287,7 +287,7 @@ FloatGrid band_of(const Sides& sides, const Domain& domain, const Progress& prog
         }
         origins.push_back(sides.topology->origin(leaf));
     }
-    FloatGrid grid(LeafTopology::build(std::move(origins)), domain.transform, background);
+    FloatGrid grid(LeafTopology::build(std::move(origins)), transform, background);
     for (std::size_t leaf = 0; leaf < grid.leaf_count(); ++leaf)
         grid.set_constant(leaf, -background);
     grid.expand(near_leaves);
@@ -297,6 +297,38 @@ FloatGrid band_of(const Sides& sides, const Domain& domain, const Progress& prog
     });
     grid.compress();
     return grid;
+}
+
+/// mend_distances() on the leaves that meet [lower, upper).
+FloatGrid mended(const FloatGrid& field, Coord lower, Coord upper, const Progress& progress)
+{
+    const TopologyPtr grown = field.topology()
+                                  ->dilated(lower - kHalo, upper + kHalo)
+                                  ->dilated(lower - kHalo, upper + kHalo);
+    const Sides sides =
+        sides_of(field, grown, leaf_origin(lower), leaf_origin(upper + Coord(7, 7, 7)),
+                 [](float v, bool) { return v <= 0; });
+    const double voxel = field.transform().voxel;
+    const auto background = static_cast<float>(kBandVoxels * voxel);
+    const auto& around = sides.topology->neighbours();
+    return band_of(sides, field.transform(), lower, upper, progress,
+                   [&](std::size_t source, Coord origin, float* values, LeafMask& mask) {
+                       BlockDistance<0> block;
+                       block.compute(sides, around[source]);
+                       const std::uint32_t own = field.topology()->find(origin);
+                       for (int o = 0; o < kLeafSize; ++o) {
+                           const Coord c = leaf_coord({0, 0, 0}, o);
+                           const double counted = double(block.at(c.x, c.y, c.z)) * voxel;
+                           const double given =
+                               own == kNoLeaf ? field.background() : field.at(own, o);
+                           // The nearest voxel centre across the surface lies between the distance
+                           // itself and a
+                           // voxel's diagonal more.
+                           const double excess = (std::fabs(given) - std::fabs(counted)) / voxel;
+                           const bool plausible = excess <= 0.51 && excess >= 0.49 - std::sqrt(3.0);
+                           put(values, mask, o, plausible ? given : counted, background);
+                       }
+                   });
 }
 
 template <class Combine>
@@ -386,52 +418,42 @@ FloatGrid level_set_from_voxels(const IntGrid& region, std::int32_t inside_value
     const double voxel = domain.transform.voxel;
     const auto background = static_cast<float>(kBandVoxels * voxel);
     const auto& around = sides.topology->neighbours();
-    return band_of(
-        sides, domain, progress, [&](std::size_t source, Coord, float* values, LeafMask& mask) {
-            BlockDistance<1> block;
-            block.compute(sides, around[source]);
-            for (int o = 0; o < kLeafSize; ++o) {
-                // [1 6 1] / 8 along each axis: a standard deviation of half a voxel.
-                const Coord c = leaf_coord({0, 0, 0}, o);
-                double smooth = 0;
-                for (int dx = -1; dx <= 1; ++dx)
-                    for (int dy = -1; dy <= 1; ++dy)
-                        for (int dz = -1; dz <= 1; ++dz)
-                            smooth += (dx ? 1 : 6) * (dy ? 1 : 6) * (dz ? 1 : 6) *
-                                      double(block.at(c.x + dx, c.y + dy, c.z + dz));
-                smooth /= 512;
-                // No voxel changes sides: a thin sheet keeps a tenth of a voxel.
-                const double d =
-                    block.at(c.x, c.y, c.z) < 0 ? std::min(smooth, -0.1) : std::max(smooth, 0.1);
-                put(values, mask, o, d * voxel, background);
-            }
-        });
+    return band_of(sides, domain.transform, Coord() - kHalo, domain.dims + kHalo, progress,
+                   [&](std::size_t source, Coord, float* values, LeafMask& mask) {
+                       BlockDistance<1> block;
+                       block.compute(sides, around[source]);
+                       for (int o = 0; o < kLeafSize; ++o) {
+                           // [1 6 1] / 8 along each axis: a standard deviation of half a voxel.
+                           const Coord c = leaf_coord({0, 0, 0}, o);
+                           double smooth = 0;
+                           for (int dx = -1; dx <= 1; ++dx)
+                               for (int dy = -1; dy <= 1; ++dy)
+                                   for (int dz = -1; dz <= 1; ++dz)
+                                       smooth += (dx ? 1 : 6) * (dy ? 1 : 6) * (dz ? 1 : 6) *
+                                                 double(block.at(c.x + dx, c.y + dy, c.z + dz));
+                           smooth /= 512;
+                           // No voxel changes sides: a thin sheet keeps a tenth of a voxel.
+                           const double d = block.at(c.x, c.y, c.z) < 0 ? std::min(smooth, -0.1)
+                                                                        : std::max(smooth, 0.1);
+                           put(values, mask, o, d * voxel, background);
+                       }
+                   });
 }
 
 FloatGrid mend_distances(const FloatGrid& field, const Domain& domain, const Progress& progress)
 {
-    const Coord lower = Coord() - kHalo * 2, upper = domain.dims + kHalo * 2;
-    const TopologyPtr grown = field.topology()->dilated(lower, upper)->dilated(lower, upper);
-    const Sides sides =
-        sides_of(field, grown, Coord() - kHalo, leaf_origin(domain.dims + kHalo + Coord(7, 7, 7)),
-                 [](float v, bool) { return v <= 0; });
-    const double voxel = domain.transform.voxel;
-    const auto background = static_cast<float>(kBandVoxels * voxel);
-    const auto& around = sides.topology->neighbours();
-    return band_of(sides, domain, progress,
-                   [&](std::size_t source, Coord origin, float* values, LeafMask& mask) {
-                       BlockDistance<0> block;
-                       block.compute(sides, around[source]);
-                       const std::uint32_t own = field.topology()->find(origin);
-                       for (int o = 0; o < kLeafSize; ++o) {
-                           const Coord c = leaf_coord({0, 0, 0}, o);
-                           const double counted = double(block.at(c.x, c.y, c.z)) * voxel;
-                           const double given =
-                               own == kNoLeaf ? field.background() : field.at(own, o);
-                           const bool plausible = std::fabs(given - counted) <= voxel;
-                           put(values, mask, o, plausible ? given : counted, background);
-                       }
-                   });
+    return mended(field, Coord() - kHalo, domain.dims + kHalo, progress);
+}
+
+FloatGrid mend_distances(const FloatGrid& field, const Progress& progress)
+{
+    if (field.leaf_count() == 0) return field;
+    Coord lower(INT32_MAX), upper(INT32_MIN);
+    for (const Coord& o : field.topology()->origins()) {
+        lower = min(lower, o);
+        upper = max(upper, o + kHalo);
+    }
+    return mended(field, lower - kHalo, upper + kHalo, progress);
 }
 
 FloatGrid csg_intersection(const FloatGrid& a, const FloatGrid& b)

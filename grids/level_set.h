@@ -59,10 +59,12 @@ FloatGrid level_set_from_voxels(const LeafGrid<std::int32_t>& region, std::int32
                                 const Domain& domain, const Progress& progress);
 
 /// A field whose signs are right but whose size may not be (the union of two bodies that touch has
-/// zeros along their contact; a patched hole has none): wherever the size differs by more than a
-/// voxel from the distance to the nearest change of sign, it is replaced by that distance. Cut to
+/// zeros along their contact; a patched hole has none): wherever the size cannot be the distance to
+/// the nearest change of sign, it is replaced by that distance, which is good to a voxel. Cut to
 /// the domain's leaves and one beyond; background = band width.
 FloatGrid mend_distances(const FloatGrid& field, const Domain& domain, const Progress& progress);
+/// The same on all leaves of the field and one beyond.
+FloatGrid mend_distances(const FloatGrid& field, const Progress& progress);
 
 /// max(a, b) (intersection), min(a, b) (union) and max(a, -b) (difference) over the union of
 /// leaves.

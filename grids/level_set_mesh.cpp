@@ -3,6 +3,7 @@
 #include <openvdb/openvdb.h>
 #include <openvdb/tools/MeshToVolume.h>
 
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
@@ -101,9 +102,8 @@ FloatGrid from_vdb(const openvdb::FloatGrid& vdb, const Transform& transform, fl
             float* values = grid.values(dense[k]);
             LeafMask& mask = grid.mask(dense[k]);
             for (openvdb::Index o = 0; o < static_cast<openvdb::Index>(kLeafSize); ++o) {
-                values[o] = leaves[k]->getValue(o);
-                if (leaves[k]->isValueOn(o) && std::fabs(values[o]) < background)
-                    mask.set(static_cast<int>(o));
+                values[o] = std::clamp(leaves[k]->getValue(o), -background, background);
+                if (std::fabs(values[o]) < background) mask.set(static_cast<int>(o));
             }
         },
         64);
@@ -120,9 +120,11 @@ FloatGrid convert(const TriMesh& mesh, const Transform& transform, double outsid
     StopWish stop{progress};
     const auto vdb_transform = openvdb::math::Transform::createLinearTransform(transform.voxel);
     progress.update(0);
+    // OpenVDB's band is ragged by up to a voxel at its outer side.
+    constexpr double ragged = 1.5;
     const auto vdb = openvdb::tools::meshToVolume<openvdb::FloatGrid>(
-        stop, adapter, *vdb_transform, static_cast<float>(outside), static_cast<float>(inside),
-        flags);
+        stop, adapter, *vdb_transform, static_cast<float>(outside + ragged),
+        static_cast<float>(inside > 0 ? inside + ragged : 0), flags);
     progress.update(0.9);
     FloatGrid grid = from_vdb(*vdb, transform, static_cast<float>(outside * transform.voxel));
     progress.update(1);
@@ -151,7 +153,12 @@ bool has_inside(const FloatGrid& grid)
 FloatGrid level_set_from_mesh(const TriMesh& mesh, const Transform& transform,
                               const Progress& progress)
 {
-    FloatGrid grid = convert(mesh, transform, kBandVoxels, kBandVoxels, 0, progress);
+    // Renormalising would move flat faces by a third of a voxel. Without it faces inside the body
+    // (of parts that overlap) leave small distances behind, which are mended.
+    FloatGrid grid =
+        mend_distances(convert(mesh, transform, kBandVoxels, kBandVoxels,
+                               openvdb::tools::DISABLE_RENORMALIZATION, progress.slice(0, 0.7)),
+                       progress.slice(0.7, 1));
     if (!has_inside(grid)) throw_nothing_inside(mesh, transform.voxel);
     return grid;
 }

@@ -10,7 +10,7 @@ namespace sekitei {
 namespace {
 
 constexpr std::uint32_t kLeafTriangles = 8;
-constexpr double kFar = 2;  // a node farther than this many radii acts as one dipole
+constexpr double kFar = 2.5;  // a node farther than this many radii acts as one dipole
 
 /// Solid angle of a triangle seen from the origin [VanOosterom1983].
 double solid_angle(Vec3d a, Vec3d b, Vec3d c)
