@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Makes maunga_whau.png from volcano.json of the npm package vega-datasets 3.2.1.
+"""Makes maunga-whau.png from volcano.json of the npm package vega-datasets 3.2.1.
 
     npm install vega-datasets@3.2.1
-    python3 make_maunga_whau.py node_modules/vega-datasets/data/volcano.json maunga_whau.png
+    python3 make_maunga_whau.py node_modules/vega-datasets/data/volcano.json maunga-whau.png
 
 16-bit grey, black = 94 m, white = 195 m, north up. Standard library only.
 """
