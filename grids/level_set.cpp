@@ -153,10 +153,11 @@ struct NearestBit {
     }
 };
 constexpr NearestBit kNearestBit;
-constexpr int kReach = 5;  // voxels; one more than the band, for the half voxel subtracted
+constexpr int kReach = 5;          // voxels; one more than the band, for the half voxel subtracted
+constexpr float kBeyond = 4.599f;  // sqrt(5^2 + 1) - 1/2, the least distance out of reach
 
 /// Signed distance [voxels] of the leaf's voxels and `Margin` around it to the nearest voxel centre
-/// of the other side, less half a voxel; beyond kReach: kReach. Exact, axis by axis.
+/// of the other side, less half a voxel; kBeyond when that is out of reach. Exact, axis by axis.
 template <int Margin>
 struct BlockDistance {
     static constexpr int kCore = 8 + 2 * Margin, kEdge = kCore + 2 * kReach;
@@ -198,7 +199,7 @@ struct BlockDistance {
                     const std::size_t i = index(x, y, z);
                     const int squared = in ? to_outside[i] : to_inside[i];
                     const float d = squared > kReach * kReach
-                                        ? static_cast<float>(kReach)
+                                        ? kBeyond
                                         : std::sqrt(static_cast<float>(squared)) - 0.5f;
                     distance[i] = in ? -d : d;
                 }

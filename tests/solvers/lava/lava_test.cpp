@@ -319,7 +319,7 @@ TEST(Lava, HeightMapOnAFlatPlainIsWithinHalfAVoxelEverywhere)
 TEST(Lava, TheVolcanoOfTheDataFolderHasItsSummitInTheSouth)
 {
     const std::filesystem::path picture =
-        std::filesystem::path(SEKITEI_DATA) / "terrain" / "maunga_whau.png";
+        std::filesystem::path(SEKITEI_DATA) / "terrain" / "maunga-whau.png";
     Inputs inputs;
     inputs.height_map = read_png_grey16(picture);
     EXPECT_EQ(inputs.height_map->width, 61);
@@ -364,8 +364,9 @@ TEST(Lava, ABallMeshKeepsItsVolumeInABoxWithTwoHeatCellsAround)
     EXPECT_EQ(r.domain.dims, Coord(84, 84, 84));  // 52 + 2 * 16
     EXPECT_NEAR(r.domain.transform.origin.y, -20 - 2.6 - 1.6, 1e-5);
     const double cell = r.heat_domain.transform.voxel;
-    EXPECT_NEAR(r.region_coarse.active_count() * cell * cell * cell / (r.lava_voxels * 1e-3), 1,
-                0.1);
+    EXPECT_NEAR(static_cast<double>(r.region_coarse.active_count()) * cell * cell * cell /
+                    (r.lava_voxels * 1e-3),
+                1, 0.1);
     EXPECT_EQ(r.slow_voxels, 0);
     // mesh_scale is metres per unit.
     params.mesh_scale = 0.1;
