@@ -213,7 +213,8 @@ std::string write_glb(const TriMesh& mesh)
         count, 3, "POSITION",
         [&](std::size_t i, int k) { return y_up(mesh.vertices[corners.vertex[i]])[k]; }, true);
 
-    for (const auto& [name, attribute] : mesh.vertex_attributes) {
+    for (const auto& [name, values] : mesh.vertex_attributes) {
+        const TriMesh::Attribute& attribute = values;  // clang 14 captures no structured bindings
         if (const auto* vectors = std::get_if<std::vector<Vec3f>>(&attribute)) {
             auto vector = [&](std::size_t i) { return (*vectors)[corners.vertex[i]]; };
             if (name == kNormal)
