@@ -239,7 +239,7 @@ private:
     }
 
     /// Slow rock is cut by the terrain itself.
-    bool stands(Coord c) const { return !terrain_ || terrain_->above(centre_of(c)) < 0; }
+    bool stands(Coord c) const { return !terrain_ || terrain_->above(c) < 0; }
 
     /// List the leaves that hold rock or touch some.
     void grow()
@@ -482,7 +482,7 @@ private:
                 Depth slow{slow_part ? -slow_(c) : -kInfinity, Surface::SlowContact};
                 if (lines_.empty()) slow.s = kInfinity;  // the body's boundary is the slow part's
                 if (pass_.terrain_ && (lines_.empty() || slow.s > -kReach))
-                    slow = least(slow, {-pass_.terrain_->distance_above(p), Surface::TerrainCut});
+                    slow = least(slow, {-pass_.terrain_->distance_above(c), Surface::TerrainCut});
                 depth = lines_.empty() ? slow : most(depth, slow);
             } else if (slow_part)
                 depth = least(depth, {slow_(c), Surface::SlowContact});

@@ -398,6 +398,15 @@ Terrain::Terrain(const Inputs& inputs, const Params& params, std::uint64_t seed)
              .hurst = params.terrain_hurst,
              .octaves = params.terrain_octaves}
 {
+    // Slow rock asks for the same heights again and again, columns only on their lines.
+    if (level_set_ || params.slow_fill != SlowFill::Rock) return;
+    const Coord n = domain_.dims;
+    levels_.resize(cell(n.x + kBorder, -kBorder));
+    parallel_for(static_cast<std::size_t>(n.x + 2 * kBorder), [&](std::size_t row) {
+        const int x = static_cast<int>(row) - kBorder;
+        for (int y = -kBorder; y < n.y + kBorder; ++y)
+            levels_[cell(x, y)] = level(x + 0.5, y + 0.5);
+    });
 }
 
 double Terrain::level(double x, double y) const
@@ -417,12 +426,17 @@ double Terrain::above(Vec3d p) const
     return double(GridReader<float>(*level_set_).sample(inside)) / level_set_->transform().voxel;
 }
 
-double Terrain::distance_above(Vec3d p) const
+double Terrain::above(Coord c) const
 {
-    if (level_set_) return above(p);
-    const double gx = (level(p.x + 1, p.y) - level(p.x - 1, p.y)) / 2;
-    const double gy = (level(p.x, p.y + 1) - level(p.x, p.y - 1)) / 2;
-    return above(p) / std::sqrt(1 + gx * gx + gy * gy);
+    return level_set_ ? above(centre_of(c)) : c.z + 0.5 - levels_[cell(c.x, c.y)];
+}
+
+double Terrain::distance_above(Coord c) const
+{
+    if (level_set_) return above(centre_of(c));
+    const double gx = (levels_[cell(c.x + 1, c.y)] - levels_[cell(c.x - 1, c.y)]) / 2;
+    const double gy = (levels_[cell(c.x, c.y + 1)] - levels_[cell(c.x, c.y - 1)]) / 2;
+    return above(c) / std::sqrt(1 + gx * gx + gy * gy);
 }
 
 void NearLines::enter(Vec3d centre, double rho)
@@ -596,6 +610,7 @@ IntGrid component_grid(const Inputs& inputs, const Pieces& pieces, const Polylin
                 std::sort(ids.begin(), ids.end());
                 ids.erase(std::unique(ids.begin(), ids.end()), ids.end());
 
+                const std::int32_t* here = column.values(leaf);
                 std::int32_t* out = component.values(leaf);
                 std::fill_n(out, kLeafSize, -1);
                 component.mask(leaf) = lava;
@@ -605,7 +620,11 @@ IntGrid component_grid(const Inputs& inputs, const Pieces& pieces, const Polylin
                     const auto line = static_cast<std::size_t>(id);
                     const std::size_t first = pieces.first[line],
                                       n = pieces.first[line + 1] - first - 1;
-                    if (n > 0) {
+                    // One level cut needs no arc, unless the line itself is level.
+                    const bool needs_arc =
+                        n > 1 || (n == 1 && !(pieces.horizontal &&
+                                              pieces.direction[pieces.first_cut(line)] != 0));
+                    if (needs_arc) {
                         if (!entered) near.enter(centre_of(origin) + Vec3d(3.5), rho);
                         entered = true;
                         near.arcs(id, origin, arc.data());
@@ -619,7 +638,7 @@ IntGrid component_grid(const Inputs& inputs, const Pieces& pieces, const Polylin
                         high = cuts_up_to(cuts, n, *most);
                     }
                     lava.for_each([&](int o) {
-                        if (column.at(leaf, o) != id) return;
+                        if (ids.size() > 1 && here[o] != id) return;
                         std::size_t piece = first;
                         if (n > 0)
                             piece = pieces.horizontal
@@ -888,7 +907,7 @@ std::vector<Crossing> terrain_crossings(const Vec3d* points, std::size_t count,
     for (std::size_t k = 0; k + 1 < count; ++k) {
         const Vec3d a = points[k], d = points[k + 1] - a;
         const double l = length(d);
-        const int samples = std::max(1, static_cast<int>(std::ceil(2 * l)));  // every half voxel
+        const int samples = std::max(1, static_cast<int>(std::ceil(l)));  // every voxel
         for (int i = 1; i <= samples; ++i) {
             double high = double(i) / samples;
             if ((height(a + d * high) >= 0) == above) continue;

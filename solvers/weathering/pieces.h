@@ -42,16 +42,26 @@ public:
 
     /// Above the terrain [voxels]: positive where rock is removed.
     double above(Vec3d p) const;
+    /// The same for a voxel of the box or one beside it.
+    double above(Coord c) const;
     /// The same as a distance.
-    double distance_above(Vec3d p) const;
+    double distance_above(Coord c) const;
 
 private:
+    static constexpr int kBorder = 2;  ///< voxels of `levels_` around the box
+    std::size_t cell(int x, int y) const
+    {
+        return static_cast<std::size_t>(x + kBorder) *
+                   static_cast<std::size_t>(domain_.dims.y + 2 * kBorder) +
+               static_cast<std::size_t>(y + kBorder);
+    }
     double level(double x, double y) const;  ///< of the fractal terrain [voxels]
 
     const FloatGrid* level_set_;
     Domain domain_;
     double base_, slope_x_, slope_y_, amplitude_;
     FractalNoise noise_;
+    std::vector<double> levels_;  ///< at voxel centres
 };
 
 /// Nearest points on chosen lines, from the candidates of a block. One per thread.

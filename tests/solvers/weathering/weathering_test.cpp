@@ -11,6 +11,7 @@
 #include "core/parallel.h"
 #include "grids/marching_tetrahedra.h"
 #include "grids/nearest_polyline.h"
+#include "grids/surface_attributes.h"
 #include "solvers/weathering/pieces.h"
 #include "tests/support/mesh_check.h"
 
@@ -709,6 +710,58 @@ TEST(Weathering, NamesWhatIsWrong)
     broken = rock;
     broken.column.set_transform({{0, 0, 0}, kVoxel});
     EXPECT_THAT([&] { broken.weathered({}); }, ThrowsMessage<InvalidInput>(HasSubstr("`column`")));
+}
+
+TEST(SurfaceAttributes, TellColumnPieceAndKindOfEachFace)
+{
+    const Rock rock = layered({24, 27, 30}, 8);
+    Params params;
+    params.remove_columns = {4};
+    const Result result = rock.weathered(params);
+    TriMesh mesh = marching_tetrahedra(result.density, 0.5, Progress());
+    const SurfaceGrids grids{.density = result.density,
+                             .column = rock.column,
+                             .component = result.component,
+                             .surface = result.surface,
+                             .weathering = &result.weathering};
+    add_surface_attributes(mesh, grids, Progress());
+    const auto& column = std::get<std::vector<std::int32_t>>(mesh.face_attributes.at("column"));
+    const auto& piece = std::get<std::vector<std::int32_t>>(mesh.face_attributes.at("component"));
+    const auto& kind = std::get<std::vector<std::int32_t>>(mesh.face_attributes.at("surface"));
+    ASSERT_EQ(column.size(), mesh.triangles.size());
+    EXPECT_EQ(mesh.vertex_attributes.at("weathering").index(), 0u);
+    EXPECT_FALSE(mesh.face_attributes.contains("arc"));
+    std::map<int, std::size_t> kinds;
+    for (std::size_t i = 0; i < mesh.triangles.size(); ++i) {
+        const auto& t = mesh.triangles[i];
+        Vec3d p;
+        for (const std::uint32_t v : t)
+            p += rock.domain.transform.voxels(Vec3d(mesh.vertices[v])) / 3.0;
+        EXPECT_NE(column[i], 4);  // it is not there
+        EXPECT_EQ(column[i], piece[i]);
+        if (p.z < 3.5) {
+            EXPECT_EQ(column[i], kMassiveRock);
+        }
+        if (p.z > 5.6) {
+            EXPECT_GE(column[i], 0);
+        }
+        const auto is = static_cast<Surface>(kind[i]);
+        const double wall = std::min({p.x, p.y, 24 - p.x, 27 - p.y});
+        if (p.z > 1 && p.z < 25 && wall < 0.01) {
+            EXPECT_EQ(is, Surface::DomainCap);
+        }
+        if (p.z > 26 && wall > 1) {
+            EXPECT_TRUE(is == Surface::CoolingContact || is == Surface::JointWall);
+        }
+        if (wall > 1.5 && p.z > 6.5 && p.z < 25) {
+            EXPECT_EQ(is, Surface::JointWall);
+        }
+        ++kinds[kind[i]];
+    }
+    EXPECT_GT(kinds[static_cast<int>(Surface::JointWall)], 100u);
+    EXPECT_GT(kinds[static_cast<int>(Surface::CoolingContact)], 100u);
+    EXPECT_GT(kinds[static_cast<int>(Surface::SlowContact)], 20u);  // the floor of the gap
+    EXPECT_EQ(kinds.count(-1), 0u);
 }
 
 TEST(Weathering, StopsWhenAsked)
