@@ -281,7 +281,7 @@ struct Pieces {
             area += triangle_of(surface, t).area();
         spacing = std::sqrt(area / double(std::max<std::size_t>(seeds, 1)));
         auto add = [&](auto&& self, const Triangle& t) -> void {
-            if (t.longest2() <= spacing * spacing / 100)
+            if (t.longest2() <= spacing * spacing / 64)
                 pieces.push_back({Vec3f(t.a), Vec3f(t.b), Vec3f(t.c)});
             else
                 for (const Triangle& quarter : t.quarters()) self(self, quarter);
