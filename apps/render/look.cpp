@@ -372,7 +372,7 @@ Material RockLook::surface(const SurfacePoint& p) const
     m.normal = p.normal;
     m.roughness = std::clamp(look.roughness + column.roughness, 0.3f, 1.0f);
     m.specular = 1;
-    const float crack = smooth(0.30f, 0.85f, at.joint);
+    const float crack = smooth(0.15f, 0.50f, at.joint);
     if (!p.seen) {
         m.albedo = colour * (1 - 0.6f * crack);
         m.roughness = 1;

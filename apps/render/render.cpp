@@ -27,7 +27,7 @@ constexpr double kDegree = math::kPi / 180;
 constexpr double kCrease = 38 * kDegree;
 
 /// Exposure that shows rock in open light a little below middle grey.
-constexpr float kRockExposure = 2.3f;
+constexpr float kRockExposure = 2.1f;
 
 /// Bounds of what triangles use.
 Bounds used_bounds(const TriMesh& mesh)

@@ -17,7 +17,7 @@ struct Params {
     int width = 1280, height = 720;
     int samples = 64;  ///< paths a pixel
     int bounces = 4;
-    double sun_azimuth = 135, sun_elevation = 38;  ///< [deg], azimuth clockwise from north (+y)
+    double sun_azimuth = 125, sun_elevation = 22;  ///< [deg], azimuth clockwise from north (+y)
     double sun_size = 0.53;                        ///< apparent diameter [deg]
     double turbidity = 3;
     double exposure = 0;               ///< stops
