@@ -66,9 +66,10 @@ public:
             throw InvalidInput(fmt::format("mesh: the grid '{}' nowhere crosses iso = {}; nothing is left of the rock",
                                            params_.grid, iso));
         if (scene.has("column") && scene.has("component") && scene.has("surface") && params_.grid == "density")
-            fill_surface_attributes(mesh, scene.floats("density"), iso, scene.ints("column"),
-                                    scene.ints("component"), scene.ints("surface"),
-                                    context.progress.slice(0.8, 1));
+            add_surface_attributes(mesh,
+                                   SurfaceGrids{field, iso, scene.ints("column"), scene.ints("component"),
+                                                scene.ints("surface"), nullptr, nullptr},
+                                   context.progress.slice(0.8, 1));
         const Json summary = {{"vertices", mesh.vertices.size()},
                               {"triangles", mesh.triangles.size()},
                               {"volume_m3", std::abs(mesh.signed_volume())},
