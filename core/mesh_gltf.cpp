@@ -213,7 +213,15 @@ std::string write_glb(const TriMesh& mesh)
         count, 3, "POSITION",
         [&](std::size_t i, int k) { return y_up(mesh.vertices[corners.vertex[i]])[k]; }, true);
 
+    // A surface may carry one name twice, on vertices and on faces: identities are the faces' own,
+    // measures are sharper at vertices.
+    auto identity = [&](const std::string& name) {
+        const auto found = mesh.face_attributes.find(name);
+        return found != mesh.face_attributes.end() &&
+               std::holds_alternative<std::vector<std::int32_t>>(found->second);
+    };
     for (const auto& [name, values] : mesh.vertex_attributes) {
+        if (identity(name)) continue;
         const TriMesh::Attribute& attribute = values;  // clang 14 captures no structured bindings
         if (const auto* vectors = std::get_if<std::vector<Vec3f>>(&attribute)) {
             auto vector = [&](std::size_t i) { return (*vectors)[corners.vertex[i]]; };
@@ -250,6 +258,7 @@ std::string write_glb(const TriMesh& mesh)
                 });
             continue;
         }
+        if (mesh.vertex_attributes.contains(name)) continue;
         const auto* numbers = std::get_if<std::vector<float>>(&attribute);
         const int components = numbers ? 1 : 3;
         std::vector<Vec3d> sum(count);
