@@ -50,22 +50,22 @@ private:
     std::map<std::tuple<std::uint32_t, std::uint32_t, std::size_t>, std::string> found_;
 };
 
-/// A TOML value as the neutral form that parameters take; throws for dates and tables.
-Json to_json(const toml::node& node)
+/// A TOML value as the neutral form that parameters take; throws for dates and tables, naming the key.
+Json to_json(const toml::node& node, const std::string& key)
 {
     if (const auto* v = node.as_string()) return v->get();
     if (const auto* v = node.as_integer()) return v->get();
     if (const auto* v = node.as_floating_point()) {
-        if (!std::isfinite(v->get())) throw InvalidParameter("is not a finite number");
+        if (!std::isfinite(v->get())) throw InvalidParameter(key + " is not a finite number");
         return v->get();
     }
     if (const auto* v = node.as_boolean()) return v->get();
     if (const auto* v = node.as_array()) {
         Json list = Json::array();
-        for (const toml::node& element : *v) list.push_back(to_json(element));
+        for (const toml::node& element : *v) list.push_back(to_json(element, key));
         return list;
     }
-    throw InvalidParameter("is a table or a date, expected a number, text, true, false or a list");
+    throw InvalidParameter(key + " is a table or a date, expected a number, text, true, false or a list");
 }
 
 std::vector<std::string> strings_of(const toml::node& node, const std::string& key)
@@ -90,16 +90,40 @@ std::uint64_t seed_of(const toml::node& node)
     return static_cast<std::uint64_t>(v->get());
 }
 
+/// One key of a table, where it stands and what it holds.
+struct Entry {
+    std::string key;
+    const toml::node* node;
+    toml::source_region source;  ///< of the key; of a value given by --set: of that
+};
+
 /// The tables and keys of one level in the order of the file; toml++ keeps them by name.
-std::vector<std::pair<std::string, const toml::node*>> in_file_order(const toml::table& table)
+std::vector<Entry> in_file_order(const toml::table& table)
 {
-    std::vector<std::pair<std::string, const toml::node*>> entries;
-    for (const auto& [key, node] : table) entries.emplace_back(std::string(key.str()), &node);
-    std::stable_sort(entries.begin(), entries.end(), [](const auto& a, const auto& b) {
-        const auto &p = a.second->source().begin, &q = b.second->source().begin;
+    std::vector<Entry> entries;
+    for (const auto& [key, node] : table) {
+        const bool written = key.source().begin.line > 0;
+        entries.push_back({std::string(key.str()), &node, written ? key.source() : node.source()});
+    }
+    std::stable_sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) {
+        const auto &p = a.node->source().begin, &q = b.node->source().begin;
         return std::tie(p.line, p.column) < std::tie(q.line, q.column);
     });
     return entries;
+}
+
+/// toml++ goes as deep as dotted keys do, and so would the stack.
+void refuse_deep_keys(const std::string& text, const std::filesystem::path& file)
+{
+    constexpr int kMostDots = 200;
+    int dots = 0, line = 1;
+    for (const char c : text) {
+        if (c == '\n') ++line;
+        if (c == '\n' || c == ',' || c == '=' || c == '{') dots = 0;
+        if (c == '.' && ++dots > kMostDots)
+            throw InvalidParameter(fmt::format("{}:{}:1: more than {} dots in a key; recipes have tables such as [lava] and no deeper ones",
+                                               file.string(), line, kMostDots));
+    }
 }
 
 toml::table parse(const std::filesystem::path& file)
@@ -110,6 +134,7 @@ toml::table parse(const std::filesystem::path& file)
     } catch (const InvalidInput& error) {
         throw InvalidParameter(error.what());  // a recipe is part of the command line
     }
+    refuse_deep_keys(text, file);
     try {
         return toml::parse(text, file.string());
     } catch (const toml::parse_error& error) {
@@ -164,7 +189,7 @@ void read_stage(const std::string& name, const toml::table& table, std::uint64_t
         return errors.add(node ? node->source() : table.source(), fmt::format("{}: {}", name, error.what()));
     }
     const ParamList params = draft.stage.process->params();
-    for (const auto& [key, node] : in_file_order(table)) {
+    for (const auto& [key, node, source] : in_file_order(table)) {
         const std::string where = name + "." + key;
         try {
             if (key == "stage") continue;
@@ -179,12 +204,12 @@ void read_stage(const std::string& name, const toml::table& table, std::uint64_t
             else if (key == "seed")
                 draft.stage.seed = seed_of(*node);
             else if (const Param* param = find_param(params, key))
-                param->set(to_json(*node));
+                param->set(to_json(*node, key));
             else {
                 std::vector<std::string> known{"stage", "from", "write", "seed"};
                 for (const Param& p : params) known.push_back(p.name);
                 const std::string near = nearest_name(key, known);
-                errors.add(node->source(),
+                errors.add(source,
                            fmt::format("{}: unknown key; {}", where,
                                        near.empty() ? fmt::format("the keys of `{}` are: {}", process,
                                                                   fmt::join(known, ", "))
@@ -294,17 +319,17 @@ void apply_override(toml::table& root, const std::string& text)
     const std::size_t equals = text.find('=');
     if (equals == std::string::npos || equals == 0)
         throw InvalidParameter(fmt::format("--set {}: expected stage.key=value", text));
-    const std::string path = text.substr(0, equals), value = text.substr(equals + 1);
+    const std::string path = text.substr(0, equals), word = text.substr(equals + 1);
     const std::string source = "--set " + text;
     toml::table parsed;
     try {
-        parsed = toml::parse("v = " + value, source);
+        parsed = toml::parse("v = " + word, source);
     } catch (const toml::parse_error&) {
         parsed.clear();
     }
     if (parsed.size() != 1) {
         try {
-            parsed = toml::parse("v = " + Json(value).dump(-1, ' ', true, Json::error_handler_t::replace), source);
+            parsed = toml::parse("v = " + Json(word).dump(-1, ' ', true, Json::error_handler_t::replace), source);
         } catch (const toml::parse_error& error) {
             throw InvalidParameter(fmt::format("{}: {}", source, error.description()));
         }
@@ -323,7 +348,8 @@ void apply_override(toml::table& root, const std::string& text)
                                                fmt::join(names, ", ")));
         }
     }
-    target->insert_or_assign(key, *parsed.get("v"));
+    // Moved, for a copy forgets where it was written.
+    parsed.get("v")->visit([&](auto& value) { target->insert_or_assign(key, std::move(value)); });
 }
 
 std::string toml_value(const Json& value)
@@ -355,7 +381,7 @@ Recipe read_recipe(const std::filesystem::path& file, const std::vector<std::str
         errors.add(version->source(), "sekitei: recipes of this program have the version 1");
 
     std::vector<Draft> drafts;
-    for (const auto& [key, node] : in_file_order(root)) {
+    for (const auto& [key, node, source] : in_file_order(root)) {
         try {
             if (key == "sekitei") continue;
             if (key == "seed") recipe.seed = seed_of(*node);
@@ -365,13 +391,13 @@ Recipe read_recipe(const std::filesystem::path& file, const std::vector<std::str
                 recipe.out = folder->get();
             }
             else if (!node->is_table())
-                errors.add(node->source(),
+                errors.add(source,
                            fmt::format("{}: unknown key; the keys before the first table are sekitei, seed, out", key));
         } catch (const Error& error) {
             errors.add(node->source(), fmt::format("{}: {}", key, error.what()));
         }
     }
-    for (const auto& [key, node] : in_file_order(root)) {
+    for (const auto& [key, node, source] : in_file_order(root)) {
         const toml::table* table = node->as_table();
         if (!table) continue;
         drafts.emplace_back();
@@ -407,16 +433,16 @@ void apply_params_file(const std::filesystem::path& file, const ParamList& param
 {
     const toml::table table = parse(file);
     Errors errors(file.string());
-    for (const auto& [key, node] : in_file_order(table)) {
+    for (const auto& [key, node, source] : in_file_order(table)) {
         try {
             if (const Param* param = find_param(params, key)) {
-                param->set(to_json(*node));
+                param->set(to_json(*node, key));
                 continue;
             }
             std::vector<std::string> known;
             for (const Param& p : params) known.push_back(p.name);
             const std::string near = nearest_name(key, known);
-            errors.add(node->source(), fmt::format("{}: unknown key{}", key,
+            errors.add(source, fmt::format("{}: unknown key{}", key,
                                                    near.empty() ? "" : fmt::format(", did you mean '{}'?", near)));
         } catch (const Error& error) {
             errors.add(node->source(), error.what());

@@ -146,7 +146,13 @@ private:
         records_.resize(recipe_.stages.size());
         if (fs::exists(cache_ / "state.json")) state_ = read_json(cache_ / "state.json");
         if (state_.is_null() || !state_.is_object()) state_ = Json::object();
+        for (std::size_t i = 0; i < recipe_.stages.size(); ++i)
+            if (selected_[i]) require_files(i);
         if (options_.dry_run) return;
+        refuse_foreign_manifest();
+        for (std::size_t i = 0; i < recipe_.stages.size(); ++i)
+            if (selected_[i])
+                for (const std::string& name : stage(i).write) refuse_foreign(recipe_.out / name, name);
 
         std::error_code error;
         fs::create_directories(cache_, error);
@@ -155,15 +161,25 @@ private:
         remove_stale_temporaries(cache_);
         remove_stale_temporaries(recipe_.out);
         check_target(recipe_.out / "manifest.json");
-        refuse_foreign_manifest();
         for (std::size_t i = 0; i < recipe_.stages.size(); ++i) {
             if (!selected_[i]) continue;
             for (const std::string& name : stage(i).write) {
                 const fs::path target = recipe_.out / name;
                 if (target.has_parent_path()) fs::create_directories(target.parent_path(), error);
                 check_target(target);
-                refuse_foreign(target, name);
             }
+        }
+    }
+
+    /// A file that a late stage reads must not be missed only when its turn comes.
+    void require_files(std::size_t i) const
+    {
+        for (const Param& param : stage(i).process->params()) {
+            if (param.kind != Param::Kind::Path) continue;
+            const std::string path = param.get().get<std::string>();
+            if (path.empty() || fs::exists(Stage::resolve(context(i), path))) continue;
+            throw InvalidInput(fmt::format("{}: {}: {} = {}: no such file", stage(i).place, stage(i).name, param.name,
+                                           Stage::resolve(context(i), path).string()));
         }
     }
 

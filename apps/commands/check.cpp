@@ -15,11 +15,17 @@ int command_check(const std::vector<std::string>& recipes, const std::vector<std
     for (const std::string& file : recipes) {
         try {
             const Recipe recipe = read_recipe(file, overrides);
+            std::vector<std::string> missing;  // every file it names must be there
             for (const RecipeStage& stage : recipe.stages) {
                 StageContext context;
                 context.folder = recipe.folder;
-                input_hashes(*stage.process, context);  // every file it names must be there
+                try {
+                    input_hashes(*stage.process, context);
+                } catch (const InvalidInput& error) {
+                    missing.push_back(fmt::format("{}: {}: {}", stage.place, stage.name, error.what()));
+                }
             }
+            if (!missing.empty()) throw InvalidParameter(fmt::format("{}", fmt::join(missing, "\n")));
             report.push_back({{"recipe", file}, {"stages", recipe.stages.size()}, {"errors", Json::array()}});
             log::info("{}: good, {} stages", file, recipe.stages.size());
         } catch (const InvalidInput& error) {
