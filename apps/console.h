@@ -16,7 +16,8 @@ extern std::atomic<bool> g_stop;
 /// use still fails: otherwise the next file opened takes the number, and words end up in data.
 void hold_standard_descriptors();
 
-/// Installs handlers for SIGINT, SIGTERM; ignores SIGPIPE so that writes report EPIPE.
+/// Installs handlers for SIGINT, SIGTERM; ignores SIGPIPE and SIGXFSZ so that writes
+/// report EPIPE and EFBIG.
 void install_signal_handlers();
 
 /// 130 or 143, by the signal that came; 130 if none did.

@@ -6,6 +6,7 @@
 #include "apps/stages/stages.h"
 #include "core/error.h"
 #include "core/file_output.h"
+#include "core/log.h"
 
 namespace sekitei::apps {
 namespace {
@@ -61,6 +62,23 @@ HistoryEntry history_of(Stage& stage, const StageContext& context)
 {
     return {stage.info().name, stage.info().version, params_json(stage.params()), context.seed,
             input_hashes(stage, context)};
+}
+
+void log_mesh_report(const std::filesystem::path& file, const MeshReadReport& report)
+{
+    for (const std::string& warning : report.warnings) log::warning("{}", warning);
+    if (report.dropped_zero_area > 0) log::warning("{}: dropped {} triangles without area", file.string(), report.dropped_zero_area);
+    if (report.flipped_triangles > 0)
+        log::warning("{}: turned {} triangles so that all face outwards", file.string(), report.flipped_triangles);
+    if (report.merged_vertices > 0) log::detail("{}: joined {} equal vertices", file.string(), report.merged_vertices);
+    if (report.split_polygons > 0) log::detail("{}: split {} polygons into triangles", file.string(), report.split_polygons);
+}
+
+InvalidInput named_after(const std::string& file, const InvalidInput& error)
+{
+    const std::string what = error.what();
+    if (file.empty() || error.code() != ExitCode::BadInput || what.find(file) != std::string::npos) return error;
+    return InvalidInput(file + ": " + what, error.code());
 }
 
 void check_memory(const std::string& who, double bytes, double limit)

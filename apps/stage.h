@@ -6,7 +6,9 @@
 #include <string>
 #include <vector>
 
+#include "core/error.h"
 #include "core/image.h"
+#include "core/mesh_io.h"
 #include "core/params.h"
 #include "core/progress.h"
 #include "grids/scene.h"
@@ -84,6 +86,12 @@ Json input_hashes(Stage& stage, const StageContext& context);
 
 /// History entry for what `stage` is about to do.
 HistoryEntry history_of(Stage& stage, const StageContext& context);
+
+/// Tells what reading a mesh file had to mend.
+void log_mesh_report(const std::filesystem::path& file, const MeshReadReport& report);
+
+/// What a file is to blame for begins with its name; the name is not repeated.
+InvalidInput named_after(const std::string& file, const InvalidInput& error);
 
 /// @throws LimitExceeded  naming what is needed, the limit and the option to raise it
 void check_memory(const std::string& who, double bytes, double limit);

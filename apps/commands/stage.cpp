@@ -89,6 +89,16 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common)
         for (const std::string& need : stage.needs()) options.only.insert(need);
         options.keep_foreign = false;
     }
+    if (stage.info().output == OutputKind::Mesh && !options.only.empty()) {
+        // Attributes come from what is there; a foreign volume has only its own grid.
+        if (name == "-") options.only.clear();
+        else if (!is_mesh_name(name)) {
+            std::set<std::string> present;
+            for (const VdbGridInfo& grid : inspect_vdb(name).grids) present.insert(grid.name);
+            const std::string surface = stage.needs().front();
+            std::erase_if(options.only, [&](const std::string& n) { return n != surface && !present.contains(n); });
+        }
+    }
     auto as_mesh = [&](TriMesh mesh) {
         Scene scene;
         scene.meshes["rock"] = std::move(mesh);
@@ -114,7 +124,7 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common)
                                            name, stage.info().name, name));
         MeshReadReport report;
         TriMesh mesh = read_mesh(name, &report);
-        for (const std::string& warning : report.warnings) log::warning("{}", warning);
+        log_mesh_report(name, report);
         return as_mesh(std::move(mesh));
     }
     Scene scene;
@@ -180,6 +190,7 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
         throw InvalidParameter(fmt::format("{}: which scene? give a .vdb file, or - for standard input", name));
     if (!inputs.empty() && !stage->info().reads_scene)
         throw InvalidParameter(fmt::format("{}: reads no scene, but '{}' was given", name, inputs.front()));
+    if (inputs.size() > 1) throw InvalidParameter(fmt::format("{}: reads one scene, but '{}' was given as well", name, inputs[1]));
     check_outputs(stage->info(), common);
 
     StageContext context;
@@ -192,10 +203,18 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
     if (!inputs.empty()) scene = read_input(*stage, inputs.front(), common);
     const HistoryEntry entry = history_of(*stage, context);
     for (const std::string& made : stage->info().makes) {  // replaced, or gone if not made this time
+        if (stage->info().output != OutputKind::Scene) continue;  // a grid called like the mesh is something else
         scene.grids.erase(made);
         scene.points.erase(made);
     }
-    const Json summary = stage->run(scene, context);
+    const Json summary = [&] {
+        try {
+            return stage->run(scene, context);
+        } catch (const InvalidInput& error) {
+            if (inputs.empty() || inputs.front() == "-") throw;
+            throw named_after(inputs.front(), error);
+        }
+    }();
     clear_progress_line();
     if (stage->info().output == OutputKind::Scene) scene.history.push_back(entry);
 

@@ -27,7 +27,7 @@ public:
     Need estimate(SceneOutline& outline, const StageContext& context) override
     {
         load(context);
-        const lava::Estimate e = lava::estimate(params_, inputs_);
+        const lava::Estimate e = estimated(context);
         outline.domain.dims = e.dims;
         outline.lava_voxels = e.voxels;
         return {e.voxels, e.bytes, e.bytes / 8};
@@ -36,9 +36,15 @@ public:
     Json run(Scene& scene, const StageContext& context) override
     {
         load(context);
-        const lava::Estimate e = lava::estimate(params_, inputs_);
+        const lava::Estimate e = estimated(context);
         check_memory("lava", e.bytes, context.memory_limit);
-        lava::Result result = lava::run(inputs_, params_, context.seed, context.progress);
+        lava::Result result = [&] {
+            try {
+                return lava::run(inputs_, params_, context.seed, context.progress);
+            } catch (const InvalidInput& error) {
+                throw named_after(source_file(context), error);
+            }
+        }();
         scene.domain = result.domain;
         scene.heat_domain = result.heat_domain;
         const double voxels = static_cast<double>(result.region.active_count());
@@ -51,6 +57,26 @@ public:
     }
 
 private:
+    lava::Estimate estimated(const StageContext& context) const
+    {
+        try {
+            return lava::estimate(params_, inputs_);
+        } catch (const InvalidInput& error) {
+            throw named_after(source_file(context), error);
+        }
+    }
+
+    /// The file that the preset reads; empty: none.
+    std::string source_file(const StageContext& context) const
+    {
+        switch (params_.preset) {
+            case lava::Preset::HeightMap: return resolve(context, params_.height_map).string();
+            case lava::Preset::Mesh: return resolve(context, params_.mesh).string();
+            case lava::Preset::Volume: return resolve(context, params_.volume).string();
+            default: return "";
+        }
+    }
+
     /// Reads the file that the preset names, once.
     void load(const StageContext& context)
     {
@@ -68,7 +94,7 @@ private:
             MeshReadReport report;
             inputs_.mesh = read_mesh(required(params_.mesh, "mesh"), &report);
             inputs_.mesh_groups = report.groups;
-            for (const std::string& warning : report.warnings) log::warning("{}", warning);
+            log_mesh_report(resolve(context, params_.mesh), report);
         }
         if (params_.preset == lava::Preset::Volume) {
             ReadOptions options;

@@ -49,6 +49,8 @@ public:
         render::validate(params_);
         if (choice_.axis != "x" && choice_.axis != "y" && choice_.axis != "z")
             throw InvalidParameter(fmt::format("render: axis = {}, must be x, y or z", choice_.axis));
+        if (!choice_.slice.empty() && params_.width < 200)
+            throw InvalidParameter(fmt::format("render: width = {}, must be at least 200 with slice, for the colour bar", params_.width));
     }
 
     Need estimate(SceneOutline&, const StageContext&) override
