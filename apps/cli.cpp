@@ -12,6 +12,8 @@
 #include <map>
 #include <memory>
 #include <new>
+#include <optional>
+#include <system_error>
 #include <thread>
 
 #include "apps/commands/commands.h"
@@ -28,7 +30,8 @@ namespace {
 /// Options shared by all commands, as words.
 struct CommonWords {
     std::vector<std::string> output;
-    std::string seed, threads, memory, params;
+    std::optional<std::string> seed, threads, memory;  // an empty word is a mistake, not the default
+    std::string params;
     bool force = false, json = false, quiet = false, verbose = false, fix_nan = false;
 };
 
@@ -76,10 +79,17 @@ Common understood(const CommonWords& words, std::size_t& threads)
     common.json = words.json;
     common.fix_nan = words.fix_nan;
     common.params_file = words.params;
-    if (!words.seed.empty()) common.seed = whole_number(words.seed, "--seed", 0x7FFFFFFFFFFFFFFF);
-    common.memory_limit = words.memory.empty() ? memory_of_machine() : parse_bytes(words.memory);
-    if (!words.threads.empty()) {
-        threads = whole_number(words.threads, "--threads", 1000000);
+    if (words.seed) common.seed = whole_number(*words.seed, "--seed", 0x7FFFFFFFFFFFFFFF);
+    common.memory_limit = memory_of_machine();
+    if (words.memory) {
+        try {
+            common.memory_limit = parse_bytes(*words.memory);
+        } catch (const InvalidParameter& error) {
+            throw InvalidParameter(fmt::format("--memory {}: {}", *words.memory, error.what()));
+        }
+    }
+    if (words.threads) {
+        threads = whole_number(*words.threads, "--threads", 1000000);
         if (threads == 0) throw InvalidParameter("--threads 0: must be at least 1");
         // More threads than cores only cost memory.
         threads = std::min<std::size_t>(threads, std::max(1u, std::thread::hardware_concurrency()));
@@ -119,7 +129,7 @@ void add_stage_command(CLI::App& program, Commands& commands, const StageInfo& i
     if (info.reads_scene)
         c.app->add_option("scene", c.files, info.output == OutputKind::Picture ? "scene (.vdb) or mesh to look at, - for standard input"
                                                                                : "scene to read (.vdb), - for standard input")
-            ->type_name("FILE")->expected(1);
+            ->type_name("FILE")->expected(0, -1);
     const auto stage = make_stage(info.name);
     for (const Param& p : stage->params()) {
         const std::string option = option_name(p.name);
@@ -161,7 +171,7 @@ void add_tool_commands(CLI::App& program, Commands& commands)
         c.app->add_option("--seed", c.common.seed, "seed of the recipe")->type_name("N")->group("General");
         c.run = [&c](const Common& common) {
             std::vector<std::string> overrides = c.set;
-            if (!c.common.seed.empty()) overrides.push_back("seed=" + c.common.seed);
+            if (c.common.seed) overrides.push_back("seed=" + *c.common.seed);
             return command_run(c.files.at(0), overrides, {c.only.begin(), c.only.end()}, c.dry_run, common);
         };
     }
@@ -220,13 +230,22 @@ std::string helped(const CLI::ParseError& error, const CLI::App& program, int ar
     for (const CLI::Option* option : app->get_options())
         for (const std::string& name : option->get_lnames()) known.push_back("--" + name);
     for (const CLI::App* sub : app->get_subcommands(nullptr)) known.push_back(sub->get_name());
+    if (app == &program)  // no command was understood: the first word that is no option was meant as one
+        for (int i = 1; i < argc; ++i) {
+            const std::string word = argv[i];
+            if (word.empty() || word[0] == '-') continue;
+            const std::string near = nearest_name(word, known);
+            return fmt::format("there is no command '{}'{}", word, near.empty() ? "" : fmt::format("; did you mean '{}'?", near));
+        }
+    else message = app->get_name() + ": " + message;
     for (int i = 1; i < argc; ++i) {
         std::string word = argv[i];
         word = word.substr(0, word.find('='));
-        if (word.size() < 2 || message.find(word) == std::string::npos) continue;
+        // An option that CLI11 does not know may make it complain of the words that follow.
+        if (!word.starts_with("--") || word == "--" || word.starts_with("--no-")) continue;
         if (std::find(known.begin(), known.end(), word) != known.end()) continue;
         const std::string near = nearest_name(word, known);
-        if (!near.empty()) return fmt::format("{}; did you mean '{}'?", message, near);
+        return fmt::format("{}: there is no option {}{}", app->get_name(), word, near.empty() ? "" : fmt::format("; did you mean '{}'?", near));
     }
     return message;
 }
@@ -265,11 +284,30 @@ int parse_and_run(int argc, char** argv)
     return static_cast<int>(ExitCode::Usage);
 }
 
+/// TBB's threads have nobody above them to catch: when one cannot start for want of memory, say so.
+[[noreturn]] void on_terminate()
+{
+    try {
+        if (const std::exception_ptr thrown = std::current_exception()) std::rethrow_exception(thrown);
+        complain("this is a bug in Sekitei: the program ended itself");
+    } catch (const std::bad_alloc&) {
+        complain("out of memory; make the voxels larger or give the process more memory");
+        ::_exit(static_cast<int>(ExitCode::Limit));
+    } catch (const std::system_error& error) {
+        complain(fmt::format("cannot start another thread: {}; use fewer --threads or give the process more memory", error.what()));
+        ::_exit(static_cast<int>(ExitCode::Limit));
+    } catch (const std::exception& error) {
+        complain(fmt::format("this is a bug in Sekitei: {}", error.what()));
+    }
+    ::_exit(static_cast<int>(ExitCode::Bug));
+}
+
 }  // namespace
 
 int run_command_line(int argc, char** argv)
 {
     hold_standard_descriptors();
+    std::set_terminate(on_terminate);
     install_signal_handlers();
     log::set_sink([](log::Level level, const std::string& line) {
         clear_progress_line();
