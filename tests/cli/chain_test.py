@@ -167,7 +167,8 @@ class Help(CliTest):
                         self.assertIn(f"[{p['unit']}]", entry)
                     for key in ("minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum"):
                         if key in p:
-                            self.assertRegex(entry, rf"\b{re.escape(f'{p[key]:g}')}")
+                            bound = f"{p[key]:.10g}"
+                            self.assertRegex(entry, rf"[^\d.-]{re.escape(bound)}\b")
                     default = p["default"]
                     self.assertRegex(entry, r"default \S+", entry)
                     if default is None:
@@ -217,7 +218,7 @@ class Help(CliTest):
         self.refuse(USAGE, ["--spacin", "--spacing"], "joint", "x.vdb", "-o", "y.vdb", "--spacin", "3cm")
         self.refuse(USAGE, ["command"])
         self.refuse(USAGE, ["chevrn", "chevron"], "lava", "--preset", "chevrn", "-o", "x.vdb")
-        self.refuse(USAGE, ["metr", "m"], "lava", "--voxel", "4metr", "-o", "x.vdb")
+        self.refuse(USAGE, ["4metr", "mm cm m km"], "lava", "--voxel", "4metr", "-o", "x.vdb")
 
     def test_bash_completes_commands_options_and_choices(self):
         script = ('source <("$SEKITEI" completions bash)\n'

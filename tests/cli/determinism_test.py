@@ -43,7 +43,7 @@ write = "rock.png"
 stage = "render"
 from = "cool"
 slice = "temperature"
-width = 160
+width = 240
 write = "heat.png"
 """
 

@@ -25,7 +25,7 @@ heat_cell = "4cm"
 noise_amplitude = 0
 
 [cool]
-steps = 20000
+steps = 120000
 write = "cooled.vdb"
 """
 

@@ -52,7 +52,7 @@ class Targets(SceneTest):
         self.write("file", "a file")
         (self.folder / "folder.vdb").mkdir()
         for target, words in (("missing/out.vdb", ["missing", "no such folder"]), ("file/out.vdb", ["file", "expected a folder"]),
-                              ("folder.vdb", ["folder.vdb", "folder"]), ("/proc/out.vdb", ["/proc"])):
+                              ("folder.vdb", ["folder.vdb", "folder"])):
             with self.subTest(target=target):
                 # Said before anything is computed: a million steps would take minutes.
                 self.refuse(CANNOT_WRITE, words, "cool", self.lava, "--steps", "9999999", "-o", target)
@@ -109,17 +109,13 @@ class Targets(SceneTest):
                 self.assertSameFiles(files_in(disk / "out"), good)
 
     def test_40_devices_and_full_pipes(self):
-        self.refuse(CANNOT_WRITE, ["pipe or device"], "cool", self.lava, "-o", "/dev/full.vdb" if False else self.link("/dev/full"))
+        (self.folder / "device.vdb").symlink_to("/dev/full")
+        self.refuse(CANNOT_WRITE, ["pipe or device"], "cool", self.lava, "-o", "device.vdb", "--force")
         for arguments in (f"mesh {self.weathered} -o -", f"cool {self.lava} -o -", f"info {self.lava}", "schema", "completions bash",
                           f"cool {self.lava} -o x.vdb --force --json", f"replay {self.lava}", f"render {self.mesh} --width 64 --samples 1 -o -"):
             done = bash(f'"$SEKITEI" {arguments} > /dev/full', self.folder)
             self.assertEqual(done.code, CANNOT_WRITE, f"{arguments}: {done}")
-            self.assertIn("standard output", done.err)
-
-    def link(self, target):
-        path = self.folder / "device.vdb"
-        path.symlink_to(target)
-        return path
+            self.assertRegex(done.err, "cannot write to (standard output|the pipe)")
 
     def test_41_names(self):
         for name in ("苔.vdb", "with space.vdb", "-dash.vdb", "x" * 251 + ".vdb", "é" * 125 + "x.vdb", "a\nb.vdb", "*.vdb", ".hidden.vdb",
