@@ -8,6 +8,7 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <charconv>
+#include <filesystem>
 #include <functional>
 #include <map>
 #include <memory>
@@ -284,6 +285,14 @@ int parse_and_run(int argc, char** argv)
     return static_cast<int>(ExitCode::Usage);
 }
 
+/// TBB says so in words when the system gives it no thread.
+bool no_thread(const std::exception& error) { return std::string_view(error.what()).find("pthread_create") != std::string_view::npos; }
+
+void complain_of_threads(const std::exception& error)
+{
+    complain(fmt::format("cannot start another thread: {}; use fewer --threads or give the process more memory", error.what()));
+}
+
 /// TBB's threads have nobody above them to catch: when one cannot start for want of memory, say so.
 [[noreturn]] void on_terminate()
 {
@@ -294,7 +303,7 @@ int parse_and_run(int argc, char** argv)
         complain("out of memory; make the voxels larger or give the process more memory");
         ::_exit(static_cast<int>(ExitCode::Limit));
     } catch (const std::system_error& error) {
-        complain(fmt::format("cannot start another thread: {}; use fewer --threads or give the process more memory", error.what()));
+        complain_of_threads(error);
         ::_exit(static_cast<int>(ExitCode::Limit));
     } catch (const std::exception& error) {
         complain(fmt::format("this is a bug in Sekitei: {}", error.what()));
@@ -326,7 +335,14 @@ int run_command_line(int argc, char** argv)
     } catch (const std::bad_alloc&) {
         complain("out of memory; make the voxels larger or give the process more memory");
         return static_cast<int>(ExitCode::Limit);
+    } catch (const std::filesystem::filesystem_error& error) {  // a path that cannot even be looked at
+        complain(fmt::format("{}: {}", error.path1().string(), error.code().message()));
+        return static_cast<int>(ExitCode::BadInput);
     } catch (const std::exception& error) {
+        if (no_thread(error)) {
+            complain_of_threads(error);
+            return static_cast<int>(ExitCode::Limit);
+        }
         complain(fmt::format("this is a bug in Sekitei: {}", error.what()));
         return static_cast<int>(ExitCode::Bug);
     }

@@ -329,7 +329,9 @@ void apply_override(toml::table& root, const std::string& text)
     }
     if (parsed.size() != 1) {
         try {
-            parsed = toml::parse("v = " + Json(word).dump(-1, ' ', true, Json::error_handler_t::replace), source);
+            parsed = toml::parse("v = " + Json(word).dump(-1, ' ', true), source);
+        } catch (const Json::exception&) {
+            throw InvalidParameter(source + ": is not UTF-8 text");
         } catch (const toml::parse_error& error) {
             throw InvalidParameter(fmt::format("{}: {}", source, error.description()));
         }

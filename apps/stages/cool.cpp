@@ -57,7 +57,11 @@ public:
         cooling::Checkpoint checkpoint;
         if (!context.checkpoint.empty()) {
             checkpoint.save = [&](const std::string& bytes) { write_file(context.checkpoint, bytes); };
-            if (std::filesystem::exists(context.checkpoint)) checkpoint.resume = read_file(context.checkpoint);
+            if (std::filesystem::exists(context.checkpoint)) {
+                checkpoint.resume = read_file(context.checkpoint);
+                if (checkpoint.resume.empty())
+                    throw InvalidInput(context.checkpoint.string() + ": empty, expected a checkpoint of cool: remove it to begin again");
+            }
         }
         cooling::Result result = [&] {
             try {
