@@ -3,7 +3,7 @@
 import unittest
 
 import foreign
-from support import (BAD_INPUT, COOL, DONE, JOINT, LAVA, LIMIT, STAGES, USAGE, WEATHER, SceneTest, run)
+from support import (BAD_INPUT, COOL, DONE, JOINT, LAVA, LIMIT, RECIPE, STAGES, USAGE, WEATHER, SceneTest, run)
 
 
 class Numbers(SceneTest):
@@ -122,10 +122,19 @@ class Words(SceneTest):
         self.assertSameBytes(self.cooled, self.succeed("cool", self.lava, *COOL, "--seed", 7, "-o", "y.vdb") and self.folder / "y.vdb")
 
     def test_very_long_and_strange_words(self):
-        long = "x" * 100_000
+        long = "x" * 60_000
+        recipe = self.recipe(RECIPE.replace("steps = 40", "steps = 9999999"))
+        (self.folder / "circle").symlink_to("circle")
         for arguments in (["cool", long, "-o", "x.vdb"], ["cool", self.lava, "-o", long + ".vdb"], ["cool", self.lava, "-o", "x.vdb", "--steps", long],
                           [long], ["--" + long], ["lava", "--preset", long, "-o", "x.vdb"], ["cool", "\udcff\udcfe", "-o", "x.vdb"],
-                          ["lava", "--preset", "\udcff", "-o", "x.vdb"], ["cool", self.lava, "--steps", "\x01\x1b[31m", "-o", "x.vdb"]):
+                          ["lava", "--preset", "\udcff", "-o", "x.vdb"], ["lava", "--preset", "mesh", "--mesh", long, "-o", "x.vdb"],
+                          ["weather", self.joints, "--terrain-map", long, "-o", "x.vdb"], ["info", long], ["verify", long + ".vdb"],
+                          ["run", long], ["diff", long, long], ["joint", self.cooled, "--seeds", long + "/" + long, "-o", "x.vdb"],
+                          ["lava", "--params", long, "-o", "x.vdb"], ["completions", long], ["schema", long], ["replay", long],
+                          ["run", recipe, "--set", f"out={long}"], ["run", recipe, "--set", f"rock.write={long}.ply"],
+                          ["run", recipe, "--set", f"joint.seeds={long}"], ["run", recipe, "--set", long], ["run", recipe, "--only", long],
+                          ["run", recipe, "--set", "out=\udcff\x01"], ["check", recipe, "--set", "rock.write=\udcff.ply"],
+                          ["run", recipe, "--set", "rock.write=/dev/null/x.ply"], ["run", recipe, "--set", "out=circle"], ["cool", self.lava, "--steps", "\x01\x1b[31m", "-o", "x.vdb"]):
             done = self.run_in_folder(*arguments, timeout=20)
             self.assertIn(done.code, (USAGE, BAD_INPUT, 4), f"{str(arguments)[:200]} {str(done)[:2000]}")
             self.assertNotIn("bug in Sekitei", done.err)

@@ -107,7 +107,7 @@ class RandomMoments(CliTest):
 
 class Signals(CliTest):
     def started(self, *arguments):
-        """A command at work on something that would take minutes."""
+        """A command at work on something that takes long."""
         run("lava", "--preset", "slab", "--size", "2.4m,2.4m,2.4m", "--voxel", "4cm", "--heat-cell", "4cm", "-o", self.folder / "lava.vdb", "-q")
         process = start(["cool", "lava.vdb", "--steps", "9999999", "-o", "cooled.vdb", *arguments], cwd=self.folder)
         time.sleep(0.5)
