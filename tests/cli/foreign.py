@@ -48,6 +48,46 @@ def ply(vertices, faces, form="ascii", comment=""):
             + b"".join(struct.pack(order + "B" + "i" * len(f), len(f), *f) for f in faces))
 
 
+def read_ply(content):
+    """Vertices, faces of a binary PLY, by rules that know nothing of the program; nothing may be left over."""
+    sizes = {"float": "f", "int": "i", "uchar": "B", "double": "d", "float32": "f", "int32": "i", "uint8": "B", "uint": "I"}
+    head, body = content.split(b"end_header\n", 1)
+    assert b"format binary_little_endian 1.0" in head, head
+    elements = []
+    for words in (line.split() for line in head.decode().split("\n")[1:]):
+        if words[:1] == ["element"]:
+            elements.append((words[1], int(words[2]), []))
+        elif words[:1] == ["property"]:
+            elements[-1][2].append(words[1:])
+    at, found = 0, {"vertex": [], "face": []}
+    for name, count, properties in elements:
+        for _ in range(count):
+            row = []
+            for p in properties:
+                form = sizes[p[1] if p[0] == "list" else p[0]]
+                value = struct.unpack_from("<" + form, body, at)
+                at += struct.calcsize("<" + form)
+                if p[0] == "list":
+                    form = f"<{value[0]}{sizes[p[2]]}"
+                    value = [struct.unpack_from(form, body, at)]
+                    at += struct.calcsize(form)
+                row.append(value[0])
+            if name == "vertex":
+                found[name].append(row[:3])
+            elif name == "face":
+                found[name].append(row[0])
+    assert at == len(body), f"{len(body) - at} bytes are left"
+    return found["vertex"], found["face"]
+
+
+def signed_volume(vertices, faces):
+    """Positive where triangles face outwards [m^3]."""
+    total = 0
+    for a, b, c in ((vertices[i] for i in f) for f in faces):
+        total += (a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0])) / 6
+    return total
+
+
 def box(lower=(0.2, 0.2, 0.2), upper=(1.4, 1.3, 1.2)):
     """Eight vertices and twelve triangles that face outwards."""
     v = [[(lower, upper)[i >> axis & 1][axis] for axis in range(3)] for i in range(8)]

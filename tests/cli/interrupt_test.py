@@ -4,11 +4,12 @@ import os
 import random
 import shutil
 import signal
+import subprocess
 import time
 import unittest
 from pathlib import Path
 
-from support import (BAD_INPUT, DONE, INTERRUPTED, LAVA, RECIPE, TERMINATED, CliTest, files_in, run, start, stop, temporaries, wait_for)
+from support import (BAD_INPUT, CANNOT_WRITE, DONE, PROGRAM, environment, INTERRUPTED, LAVA, RECIPE, TERMINATED, CliTest, files_in, run, start, stop, temporaries, wait_for)
 
 # Long enough that most random moments fall into work: about a second on one core.
 LONG = (RECIPE.replace("steps = 40", "steps = 40000").replace('write = "rock.vdb"', 'write = ["rock.vdb", "copy.vdb"]')
@@ -24,8 +25,10 @@ voxel = "4cm"
 heat_cell = "4cm"
 noise_amplitude = 0
 
+# So slow that the last step still moves every temperature: one step too many or too few shows.
 [cool]
 steps = 120000
+alpha = 0.0002
 write = "cooled.vdb"
 """
 
@@ -103,6 +106,61 @@ class RandomMoments(CliTest):
             self.assertSameFiles(files_in(self.folder / "out"), new)
             self.succeed("run", "rock.toml", "-q")
             self.assertSameFiles(files_in(self.folder / "out"), old)
+
+
+@unittest.skipUnless(shutil.which("strace"), "needs strace")
+class EveryCall(CliTest):
+    """strace stops or fails the program at a chosen write, sync or rename."""
+
+    def inject(self, call, what, when):
+        shutil.rmtree(self.folder / "out", ignore_errors=True)
+        return subprocess.run(["strace", "-f", "-qq", "-o", "/dev/null", "-e", f"trace={call}", "-e", f"inject={call}:{what}:when={when}",
+                               str(PROGRAM), "run", "rock.toml", "-q"], cwd=self.folder, env=environment(), capture_output=True, timeout=60)
+
+    def setUp(self):
+        super().setUp()
+        self.recipe()
+        self.succeed("run", "rock.toml", "-q", "--set", "out=good")
+        self.good = files_in(self.folder / "good")
+        if self.inject("getpid", "retval=1", 1).returncode != 0:
+            self.skipTest("strace is not allowed here")
+        self.assertSameFiles(files_in(self.folder / "out"), self.good)
+
+    def check_and_go_on(self, what):
+        for name, content in files_in(self.folder / "out").items():
+            if not name.endswith(".tmp"):
+                self.assertSameBytes(content, self.good[name], f"{what}: {name}")
+        self.succeed("run", "rock.toml", "-q")
+        self.assertSameFiles(files_in(self.folder / "out"), self.good, what)
+        self.assertEqual(temporaries(self.folder / "out"), [], what)
+
+    def moments(self, call, what, count):
+        """Numbers of `count` calls spread over all that a run makes."""
+        last = 1
+        while self.inject(call, what, last).returncode != 0:
+            last *= 2
+        return sorted({1 + i * (last - 1) // count for i in range(count)})
+
+    def test_killed_at_any_write_sync_or_rename(self):
+        for call in ("write", "fsync", "/rename.*"):
+            stopped = 0
+            for when in self.moments(call, "signal=KILL", 8):
+                code = self.inject(call, "signal=KILL", when).returncode
+                stopped += code != 0
+                self.check_and_go_on(f"killed at {call} {when}")
+            self.assertGreaterEqual(stopped, 4, call)
+
+    def test_a_failure_of_any_write_sync_or_rename_is_told(self):
+        for call, error in (("write", "ENOSPC"), ("fsync", "EIO"), ("/rename.*", "EACCES")):
+            failed = 0
+            for when in self.moments(call, f"error={error}", 5):
+                done = self.inject(call, f"error={error}", when)
+                what = f"{error} at {call} {when}: {done}"
+                self.assertIn(done.returncode, (DONE, CANNOT_WRITE), what)
+                failed += done.returncode == CANNOT_WRITE
+                self.assertEqual(temporaries(self.folder / "out"), [], what)
+                self.check_and_go_on(what)
+            self.assertGreaterEqual(failed, 2, call)
 
 
 class Signals(CliTest):
