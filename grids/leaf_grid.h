@@ -139,6 +139,19 @@ public:
         return grid;
     }
 
+    /// Leaves whose `dense` is not 0 have 512 uninitialised values of their own; the others are
+    /// constant with `background`. All masks are empty.
+    static LeafGrid partly_dense(TopologyPtr topology, Transform transform, T background,
+                                 const std::vector<std::uint8_t>& dense)
+    {
+        LeafGrid grid(std::move(topology), transform, background);
+        std::uint32_t next = 0;
+        for (std::size_t i = 0; i < dense.size(); ++i)
+            if (dense[i]) grid.slots_[i] = next++;
+        grid.pool_.resize(std::size_t(next) * kLeafSize);
+        return grid;
+    }
+
     const TopologyPtr& topology() const { return topology_; }
     const Transform& transform() const { return transform_; }
     void set_transform(const Transform& transform) { transform_ = transform; }

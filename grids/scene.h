@@ -17,7 +17,7 @@ namespace sekitei {
 enum class GridClass { Unknown, LevelSet, FogVolume };
 
 /// A grid of a type Sekitei does not compute with (foreign files): kept and written back untouched.
-/// Defined in grids/vdb_file.cpp, where OpenVDB's headers are.
+/// Defined in grids/vdb_format.h.
 struct ForeignGrid;
 
 struct Grid {
