@@ -582,7 +582,8 @@ std::vector<std::pair<std::string, const Entry*>> choose(const Header& header,
         if (++counts[name] > 1)
             throw InvalidInput(fmt::format(
                 "{}: several grids are called {} ({}); choose one, e.g. --grid {}", file, name,
-                shown([&](const Entry& e) { return e.name == entry->name; }), entry->shown));
+                shown([&, same = entry->name](const Entry& e) { return e.name == same; }),
+                entry->shown));
     return chosen;
 }
 
@@ -617,11 +618,10 @@ Scene read_bytes(std::string_view bytes, const std::string& file, const ReadOpti
             if (!is_leaf_grid(*entry) && !options.keep_foreign) continue;
             Grid grid = read_grid(bytes, header, *entry, where, budget);
             if (!own && !hash.empty()) found = content_hash(grid);
-            auto check = [&](auto& values) {
-                check_values(values, where, name, grid.unit, options.fix_nan);
-            };
-            if (auto* f = std::get_if<FloatGrid>(&grid.values)) check(*f);
-            if (auto* v = std::get_if<VectorGrid>(&grid.values)) check(*v);
+            if (auto* f = std::get_if<FloatGrid>(&grid.values))
+                check_values(*f, where, name, grid.unit, options.fix_nan);
+            if (auto* v = std::get_if<VectorGrid>(&grid.values))
+                check_values(*v, where, name, grid.unit, options.fix_nan);
             scene.grids[name] = std::move(grid);
         }
         // Another program wrote the file and kept our mark: what it changed is its own business.

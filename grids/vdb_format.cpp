@@ -122,7 +122,8 @@ Map read_map(Cursor& in, std::string_view file, bool within_frustum = false)
         for (double& v : m) v = in.get<double>();
         map.scale = {m[0], m[5], m[10]};
         map.translation = {m[12], m[13], m[14]};
-        for (const std::size_t i : {1, 2, 3, 4, 6, 7, 8, 9, 11}) aligned = aligned && m[i] == 0;
+        for (const std::size_t i : {1u, 2u, 3u, 4u, 6u, 7u, 8u, 9u, 11u})
+            aligned = aligned && m[i] == 0;
         aligned = aligned && m[15] == 1;
     };
     if (map.type == "UniformScaleMap" || map.type == "ScaleMap") {
