@@ -18,6 +18,8 @@ inline constexpr double kBandVoxels = 4.0;
 
 /// Distance to a closed mesh (OpenVDB's meshToVolume); interior leaves are constant -background.
 /// Which way the triangles are wound does not matter; where parts overlap, the union is meant.
+/// Exact within a voxel of the surface, farther off good to half a voxel (OpenVDB compares only the
+/// triangles its neighbours found).
 /// @throws InvalidInput  no triangles, NaN or out-of-range vertices, nothing inside (the mesh is
 ///                       smaller than a voxel, or has holes)
 FloatGrid level_set_from_mesh(const TriMesh& mesh, const Transform& transform,

@@ -66,8 +66,10 @@ struct StopWish {
     bool wasInterrupted(int = -1) const { return progress.cancelled(); }
 };
 
+/// A grid in voxel edges as one in world units.
 FloatGrid from_vdb(const openvdb::FloatGrid& vdb, const Transform& transform, float background)
 {
+    const auto voxel = static_cast<float>(transform.voxel);
     const auto& tree = vdb.tree();
     std::vector<Coord> origins;
     std::vector<const openvdb::FloatTree::LeafNodeType*> leaves;
@@ -102,7 +104,7 @@ FloatGrid from_vdb(const openvdb::FloatGrid& vdb, const Transform& transform, fl
             float* values = grid.values(dense[k]);
             LeafMask& mask = grid.mask(dense[k]);
             for (openvdb::Index o = 0; o < static_cast<openvdb::Index>(kLeafSize); ++o) {
-                values[o] = std::clamp(leaves[k]->getValue(o), -background, background);
+                values[o] = std::clamp(leaves[k]->getValue(o) * voxel, -background, background);
                 if (std::fabs(values[o]) < background) mask.set(static_cast<int>(o));
             }
         },
@@ -118,7 +120,8 @@ FloatGrid convert(const TriMesh& mesh, const Transform& transform, double outsid
     openvdb::initialize();
     const MeshAdapter adapter{mesh, transform};
     StopWish stop{progress};
-    const auto vdb_transform = openvdb::math::Transform::createLinearTransform(transform.voxel);
+    // Voxels of edge 1: OpenVDB takes edges of nanometres for zero.
+    const auto vdb_transform = openvdb::math::Transform::createLinearTransform(1.0);
     progress.update(0);
     // OpenVDB's band is ragged by up to a voxel at its outer side.
     constexpr double ragged = 1.5;

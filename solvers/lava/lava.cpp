@@ -176,7 +176,8 @@ Layout mesh_layout(const Params& params, const Inputs& inputs)
             "lava: all vertices of the mesh lie in one point, expected a body with a volume");
     const double margin = margin_of(params, layout.voxel);
     layout.origin = bounds.lower - Vec3d(margin);
-    layout.dims = cells_over(bounds.size() + Vec3d(2 * margin), layout.voxel);
+    // Vertices are floats: a thousandth of a voxel makes no voxel more.
+    layout.dims = cells_over(bounds.size() + Vec3d(2 * margin - 1e-3 * layout.voxel), layout.voxel);
     return layout;
 }
 
@@ -440,18 +441,18 @@ struct Boundaries {
     /// Signed distance of the slow part before the cold is cut away.
     double slow(Vec3d p, double above_top, double above_bottom) const
     {
-        if (preset == Preset::Rosette) return length(p - dims * 0.5) - vent_radius();
-        // The plane x = 1/2 itself is slow.
-        if (preset == Preset::Basin)
-            return std::max(-above_top, std::nextafter(dims.x / 2, 0.0) - p.x);
-        if (preset == Preset::HeightMap) return p.z - slow_below;
-        return bottom && !bottom_is_cold ? above_bottom : INFINITY;
+        // The plane x = 1/2 of the basin is slow, every other boundary itself is lava.
+        constexpr double open = 1e-9;
+        if (preset == Preset::Rosette) return length(p - dims * 0.5) - vent_radius() + open;
+        if (preset == Preset::Basin) return std::max(-above_top + open, dims.x / 2 - p.x);
+        if (preset == Preset::HeightMap) return p.z - slow_below + open;
+        return bottom && !bottom_is_cold ? above_bottom + open : INFINITY;
     }
 };
 
 std::int32_t region_id(double body, double slow)
 {
-    return body > 0 ? kCold : slow < 0 ? kSlow : kLava;  // on overlap cold wins
+    return body > 0 ? kCold : slow <= 0 ? kSlow : kLava;  // on overlap cold wins
 }
 
 /// A plane displaced by 1/f noise, or the preset's curved floor.
