@@ -154,7 +154,14 @@ Image8 run(const TriMesh& mesh, const Params& params, std::uint64_t seed, const 
         throw InvalidInput("render: the mesh has no triangles, must have at least one");
     std::optional<Shown> shown;
     if (!params.field.empty()) shown = show_attribute(mesh, params.field);
-    const Bounds bounds = used_bounds(mesh);
+    Bounds bounds = used_bounds(mesh);
+    if (params.ground && params.ground_height) {
+        if (*params.ground_height >= bounds.upper.z)
+            throw InvalidParameter(
+                fmt::format("render: ground_height = {} m, must be below the top of the mesh, {} m",
+                            *params.ground_height, bounds.upper.z));
+        bounds.lower.z = std::max(bounds.lower.z, *params.ground_height);
+    }
     const double size = length(bounds.size());
     progress.update(0);
 
@@ -164,7 +171,7 @@ Image8 run(const TriMesh& mesh, const Params& params, std::uint64_t seed, const 
     const Vec3d sun = direction_of(params.sun_azimuth, params.sun_elevation);
     const double sun_radius = params.sun_size / 2 * kDegree;
     std::optional<double> ground;
-    if (params.ground) ground = bounds.lower.z;
+    if (params.ground) ground = params.ground_height.value_or(bounds.lower.z);
 
     // Light and look: rock by day, or a field in soft light before a plain backdrop.
     Sky sky;

@@ -23,11 +23,12 @@ struct Params {
     double exposure = 0;               ///< stops
     std::optional<Vec3d> eye, target;  ///< [m]; auto: from the bounds
     double view_azimuth = 215,
-           view_elevation = 8;   ///< [deg] where the automatic camera stands, seen from the target
-    double zoom = 1;             ///< > 1: nearer
-    double field_of_view = 35;   ///< vertical [deg]
-    bool ground = true;          ///< a ground plane at the lowest point
-    bool hills = true;           ///< far ridges along the horizon
+           view_elevation = 8;  ///< [deg] where the automatic camera stands, seen from the target
+    double zoom = 1;            ///< > 1: nearer
+    double field_of_view = 35;  ///< vertical [deg]
+    bool ground = true;         ///< a ground plane
+    std::optional<double> ground_height;  ///< [m]; auto: at the lowest point
+    bool hills = true;                    ///< far ridges along the horizon
     std::optional<double> haze;  ///< distance that air veils to 1/e [m]; auto: 45 times the size
     bool denoise = true;
     std::string field;  ///< mesh attribute shown as colours with a colour bar; empty: rock
@@ -56,7 +57,9 @@ struct Params {
                "nearer (above 1) or farther than the automatic distance");
         field_("field_of_view", &Params::field_of_view, "deg", between(1, 150),
                "vertical opening of the camera");
-        field_("ground", &Params::ground, "a ground plane at the lowest point");
+        field_("ground", &Params::ground, "a ground plane");
+        field_("ground_height", &Params::ground_height, "m", kAny,
+               "height of the ground plane, which buries what lies below; auto: the lowest point");
         field_("hills", &Params::hills, "far ridges along the horizon");
         field_("haze", &Params::haze, "m", kPositive,
                "distance at which air hides two thirds of the light from a thing");

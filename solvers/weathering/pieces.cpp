@@ -197,8 +197,9 @@ std::vector<std::uint8_t> removed_columns(const Inputs& inputs, const Params& pa
                 lines.count()));
         removed[static_cast<std::size_t>(id)] = 1;
     }
-    if (const auto& box = params.remove_box; !box.empty()) {
-        const Coord n = inputs.domain.dims;
+    const Coord n = inputs.domain.dims;
+    for (std::size_t at = 0; at < params.remove_box.size(); at += 6) {
+        const double* box = params.remove_box.data() + at;
         for (std::size_t i = 0; i < lines.count(); ++i) {
             if (lines.size(i) == 0) continue;
             const Vec3d p = lines.line(i)[0];

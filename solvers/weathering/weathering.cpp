@@ -52,16 +52,17 @@ void validate(const Params& params)
         if (id < 0 || id != std::floor(id))
             throw InvalidParameter(
                 fmt::format("weathering: remove_columns = {}, must be whole numbers from 0", id));
-    const auto& box = params.remove_box;
-    if (!box.empty() && box.size() != 6)
-        throw InvalidParameter(
-            fmt::format("weathering: remove_box has {} numbers, must be the six x0,y0,z0,x1,y1,z1",
-                        box.size()));
-    for (std::size_t k = 0; box.size() == 6 && k < 3; ++k)
-        if (!(box[k] <= box[k + 3]))
-            throw InvalidParameter(fmt::format(
-                "weathering: remove_box runs from {} to {} along {}, must not run backwards",
-                box[k], box[k + 3], "xyz"[k]));
+    const auto& boxes = params.remove_box;
+    if (boxes.size() % 6 != 0)
+        throw InvalidParameter(fmt::format(
+            "weathering: remove_box has {} numbers, must be six for each box, x0,y0,z0,x1,y1,z1",
+            boxes.size()));
+    for (std::size_t at = 0; at < boxes.size(); at += 6)
+        for (std::size_t k = 0; k < 3; ++k)
+            if (!(boxes[at + k] <= boxes[at + k + 3]))
+                throw InvalidParameter(fmt::format(
+                    "weathering: remove_box runs from {} to {} along {}, must not run backwards",
+                    boxes[at + k], boxes[at + k + 3], "xyz"[k]));
 }
 
 Result run(const Inputs& inputs, const Params& params, std::uint64_t seed, const Progress& progress)

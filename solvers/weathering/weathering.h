@@ -75,8 +75,8 @@ struct Params {
     double terrain_amplitude = 0.12, terrain_hurst = 0.8;
     int terrain_octaves = 6;
     std::vector<double> remove_columns;  ///< ids
-    std::vector<double>
-        remove_box;  ///< x0,y0,z0,x1,y1,z1 in shares of the box: columns whose seed lies in it
+    std::vector<double> remove_box;  ///< boxes x0,y0,z0,x1,y1,z1 in shares of the scene's: columns
+                                     ///< whose seed lies in one
 
     static void describe(auto&& field)
     {
@@ -115,7 +115,7 @@ struct Params {
         field("remove_columns", &Params::remove_columns, "", kNotNegative,
               "ids of columns to leave out");
         field("remove_box", &Params::remove_box, "", kAny,
-              "leave out columns that start in the box x0,y0,z0,x1,y1,z1 (shares)");
+              "leave out columns that start in boxes x0,y0,z0,x1,y1,z1 (shares of the scene's)");
     }
 };
 

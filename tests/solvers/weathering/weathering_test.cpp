@@ -517,11 +517,12 @@ TEST(Weathering, RemovesTheColumnsThatAreNamed)
     const Rock rock = layered({24, 27, 30}, 8);
     Params params;
     params.remove_columns = {2};
-    params.remove_box = {.6, .6, 0, 1, 1, 1};
+    params.remove_box = {.6, .6, 0, 1, 1, 1, 0, 0, 0, .3, .25, 1};
     const Result result = rock.weathered(params);
     std::set<int> gone{2};
     for (std::size_t i = 0; i < rock.lines.count(); ++i)
-        if (rock.lines.line(i)[0].x > .6 * 24 && rock.lines.line(i)[0].y > .6 * 27)
+        if ((rock.lines.line(i)[0].x > .6 * 24 && rock.lines.line(i)[0].y > .6 * 27) ||
+            (rock.lines.line(i)[0].x < .3 * 24 && rock.lines.line(i)[0].y < .25 * 27))
             gone.insert(static_cast<int>(i));
     EXPECT_GT(gone.size(), 1u);
     EXPECT_EQ(result.removed_pieces, gone.size());
