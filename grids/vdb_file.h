@@ -11,10 +11,13 @@
 /// All VDB files go through here, both ways, and nowhere else.
 ///
 /// OpenVDB's writer reports success on a full disk and leaves half files under the final name; its
-/// reader hangs or eats memory on truncated ones. So: a file is written to a temporary name through
-/// a checked stream, synced, its header re-read, and renamed; a file is read only after our own
-/// parser has checked magic, version, every length against the file's size and the last grid's end
-/// position, and where a grid carries `sekitei:hash`, the values are checked against it.
+/// reader hangs, crashes or eats memory on damaged ones. So a file is written to a temporary name,
+/// checked, synced, read back and renamed; and its UUID is a hash of all its other bytes, with one
+/// hash a grid in `sekitei:bytes`, so that damage is found, and the grid named, before anything is
+/// decoded. Files of other programs have random UUIDs: their float, int32 and vec3s grids are
+/// decoded by our own code with every length checked (grids/vdb_format.h), their points in a
+/// process of their own first, and other types are kept as bytes. A shell's `> file.vdb` of a
+/// framed pipe is a file that read_vdb() accepts.
 namespace sekitei {
 
 struct ReadOptions {

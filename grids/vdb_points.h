@@ -14,7 +14,7 @@ namespace sekitei::vdb {
 RawGrid encode_points(const std::string& name, const Points& points);
 
 /// Points of a grid that OpenVDB is known to read: our own after its hash was checked, or one that
-/// survived try_decode_points(). Foreign grids: positions from P, attributes of known types.
+/// survived decode_untrusted_points(). Foreign grids: positions from P, attributes of known types.
 /// @throws InvalidInput  OpenVDB refuses it
 Points decode_points(const RawGrid& grid, const std::string& where);
 
