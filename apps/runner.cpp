@@ -620,12 +620,32 @@ private:
             if (selected_[i])
                 stages.push_back({{"name", stage(i).name}, {"stage", stage(i).process->info().name}, {"seed", stage(i).seed},
                                   {"key", records_[i].json["key"]}, {"summary", records_[i].json["summary"]}});
+        keep_unselected(outputs, stages);
         Json recipe_content = Json::array();
         for (const Json& s : stages) recipe_content.push_back(s["key"]);
         manifest_ = {{"sekitei", SEKITEI_VERSION}, {"recipe_hash", hash_hex(recipe_content.dump())},
                      {"seed", recipe_.seed},       {"stages", stages}, {"outputs", outputs}};
         write_file(recipe_.out / "manifest.json", manifest_.dump(2) + "\n");
         save_state();
+    }
+
+    /// With --only, the manifest goes on listing what earlier runs made of the other stages, if it is still there.
+    void keep_unselected(Json& outputs, Json& stages) const
+    {
+        const fs::path path = recipe_.out / "manifest.json";
+        if (options_.only.empty() || !fs::exists(path)) return;
+        const Json old = read_json(path);
+        if (!old.is_object()) return;
+        std::set<std::string> unselected;
+        for (std::size_t i = 0; i < recipe_.stages.size(); ++i)
+            if (!selected_[i]) unselected.insert(stage(i).name);
+        for (const Json& entry : old.value("stages", Json::array()))
+            if (unselected.contains(entry.value("name", ""))) stages.push_back(entry);
+        for (const Json& entry : old.value("outputs", Json::array())) {
+            const fs::path file = recipe_.out / entry.value("path", "");
+            if (unselected.contains(entry.value("stage", "")) && fs::is_regular_file(file) && file_hash(file) == entry.value("hash", ""))
+                outputs.push_back(entry);
+        }
     }
 
     /// Keeps the results of this run and the few newest older ones of each stage.

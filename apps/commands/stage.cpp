@@ -201,6 +201,8 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
     context.folder = ".";
     Scene scene;
     if (!inputs.empty()) scene = read_input(*stage, inputs.front(), common);
+    for (const fs::path& target : targets_of(stage->info(), common))
+        if (target != "-") remove_stale_temporaries(target.has_parent_path() ? target.parent_path() : ".");
     const HistoryEntry entry = history_of(*stage, context);
     for (const std::string& made : stage->info().makes) {  // replaced, or gone if not made this time
         if (stage->info().output != OutputKind::Scene) continue;  // a grid called like the mesh is something else

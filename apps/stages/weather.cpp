@@ -1,5 +1,8 @@
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <cmath>
+
 #include "apps/stages/stages.h"
 #include "core/error.h"
 #include "core/image.h"
@@ -37,6 +40,21 @@ double map_height(const Image16& map, double x, double y, double low, double hig
     const double grey = (1 - g) * ((1 - f) * map.at(i, j) + f * map.at(i1, j))
                         + g * ((1 - f) * map.at(i, j1) + f * map.at(i1, j1));
     return low + (high - low) * grey / 65535;
+}
+
+/// Bound on the gradient of z - height(x, y) for a map stretched over the domain: from its steepest step.
+double map_steepness(const Image16& map, const Domain& domain, double range)
+{
+    double along_x = 0, along_y = 0;  // grey levels a pixel
+    for (int j = 0; j < map.height; ++j)
+        for (int i = 0; i < map.width; ++i) {
+            if (i > 0) along_x = std::max(along_x, std::abs(double(map.at(i, j)) - map.at(i - 1, j)));
+            if (j > 0) along_y = std::max(along_y, std::abs(double(map.at(i, j)) - map.at(i, j - 1)));
+        }
+    const double voxels_a_grey = std::abs(range) / 65535 / domain.transform.voxel;
+    const double sx = along_x * voxels_a_grey * map.width / domain.dims.x;
+    const double sy = along_y * voxels_a_grey * map.height / domain.dims.y;
+    return std::sqrt(1 + sx * sx + sy * sy);
 }
 
 class WeatherStage : public Stage {
@@ -93,7 +111,8 @@ public:
                                                      sources_.terrain_low, sources_.terrain_high);
                     return p.z - (height - d.transform.origin.z) / d.transform.voxel;
                 },
-                context.progress);
+                context.progress,
+                {.steepness = map_steepness(map, d, sources_.terrain_high - sources_.terrain_low)});
             inputs.terrain = &terrain;
         }
         weathering::Result result = weathering::run(inputs, params_, context.seed, context.progress);
