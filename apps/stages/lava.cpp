@@ -11,6 +11,20 @@
 namespace sekitei::apps {
 namespace {
 
+/// Which axis of a mesh file points to the sky.
+enum class UpAxis { Z, Y };
+constexpr std::array<std::string_view, 2> choice_names(UpAxis) { return {"z", "y"}; }
+
+/// How a file is read, beside the solver's own parameters.
+struct FileForm {
+    UpAxis mesh_up = UpAxis::Z;
+
+    static void describe(auto&& field)
+    {
+        field("mesh_up", &FileForm::mesh_up, "axis of the mesh file that points up; (x, y, z) with y up becomes (x, -z, y)");
+    }
+};
+
 class LavaStage : public Stage {
 public:
     const StageInfo& info() const override
@@ -21,7 +35,12 @@ public:
         return kInfo;
     }
 
-    ParamList params() override { return describe_params(params_); }
+    ParamList params() override
+    {
+        ParamList list = describe_params(params_);
+        for (Param& p : describe_params(form_)) list.push_back(std::move(p));
+        return list;
+    }
     void validate() override { lava::validate(params_); }
 
     Need estimate(SceneOutline& outline, const StageContext& context) override
@@ -93,6 +112,8 @@ private:
         if (params_.preset == lava::Preset::Mesh) {
             MeshReadReport report;
             inputs_.mesh = read_mesh(required(params_.mesh, "mesh"), &report);
+            if (form_.mesh_up == UpAxis::Y)
+                for (Vec3f& v : inputs_.mesh->vertices) v = {v.x, -v.z, v.y};
             inputs_.mesh_groups = report.groups;
             log_mesh_report(resolve(context, params_.mesh), report);
         }
@@ -107,6 +128,7 @@ private:
     }
 
     lava::Params params_;
+    FileForm form_;
     lava::Inputs inputs_;
     Scene volume_;
     bool loaded_ = false;

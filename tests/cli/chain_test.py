@@ -49,6 +49,28 @@ class Chain(SceneTest):
         self.succeed("render", self.cooled, "--slice", "temperature", "--width", "200", "-o", "slice.png")
         self.assertTrue((self.folder / "slice.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n"))
 
+    def test_a_mesh_with_y_up_is_turned(self):
+        corners = [(x, y, z) for x in (0, 1.0) for y in (0, 1.4) for z in (0, 0.7)]
+        corners[7] = (1.3, 1.9, 0.9)  # no symmetry that could hide a wrong turn
+        faces = [(1, 2, 4), (1, 4, 3), (5, 7, 8), (5, 8, 6), (1, 5, 6), (1, 6, 2), (3, 4, 8), (3, 8, 7), (1, 3, 7), (1, 7, 5),
+                 (2, 6, 8), (2, 8, 4)]
+        for name, turn in (("z.obj", lambda p: p), ("y.obj", lambda p: (p[0], p[2], -p[1]))):
+            self.write(name, "".join("v %g %g %g\n" % turn(p) for p in corners) + "".join("f %d %d %d\n" % f for f in faces))
+        for name, up in (("z", "z"), ("y", "y")):
+            self.succeed("lava", "--preset", "mesh", "--mesh", f"{name}.obj", "--mesh-up", up, "--voxel", "6cm", "-o", f"{name}.vdb")
+        self.assertEqual(self.succeed("diff", "z.vdb", "y.vdb").out, b"")
+        self.succeed("lava", "--preset", "mesh", "--mesh", "y.obj", "--voxel", "6cm", "-o", "lying.vdb")
+        self.assertEqual(self.run_in_folder("diff", "z.vdb", "lying.vdb").code, 6)
+
+    def test_only_leaves_the_rest_in_the_manifest(self):
+        self.recipe()
+        self.succeed("run", "rock.toml")
+        before = {entry["path"] for entry in json.loads((self.folder / "out/manifest.json").read_text())["outputs"]}
+        self.succeed("run", "rock.toml", "--only", "weather")
+        after = {entry["path"] for entry in json.loads((self.folder / "out/manifest.json").read_text())["outputs"]}
+        self.assertEqual(before, after)
+        self.succeed("verify", "out/manifest.json")
+
     def test_parameters_from_a_file_are_those_of_the_command_line(self):
         self.write("joint.toml", 'spacing = "40cm"\n')
         self.succeed("joint", self.cooled, "--params", "joint.toml", "--seed", 7, "-o", "joints.vdb")
