@@ -12,13 +12,14 @@ namespace sekitei::render {
 
 using Rgb = Vec3<std::uint8_t>;
 
-inline constexpr int kGlyphWidth = 6, kGlyphHeight = 8;  ///< with spacing, at scale 1
+inline constexpr int kGlyphWidth = 6, kGlyphHeight = 10;  ///< with spacing, at scale 1
 
 /// Pixels the text is wide.
 int text_width(std::string_view text, int scale);
 
-/// Draws ASCII text (and the UTF-8 signs for degree and powers 2, 3), upper left corner at (x, y),
-/// clipped to the picture.
+/// Draws ASCII text (and the UTF-8 signs for degree and powers 2, 3), upper left corner of a
+/// capital at (x, y), clipped to the picture. Descenders reach two rows below the base line y + 7
+/// scale.
 void draw_text(Image8& image, int x, int y, std::string_view text, int scale, Rgb colour);
 
 /// Numbers that divide [low, high] evenly in steps of 1, 2 or 5 times a power of ten, about

@@ -654,6 +654,33 @@ TEST(Text, TicksAreRoundAndInside)
     EXPECT_EQ(tick_text(400, ticks(250, 1473, 6)), "400");
 }
 
+/// Whether a sign has ink in a row; row 0 is the top of a capital, row 7 the first below the base
+/// line.
+bool has_ink(char sign, int row)
+{
+    Image8 image(kGlyphWidth, kGlyphHeight, 3);
+    std::fill(image.pixels.begin(), image.pixels.end(), std::uint8_t{255});
+    draw_text(image, 0, 0, std::string(1, sign), 1, {0, 0, 0});
+    for (int x = 0; x < image.width; ++x)
+        if (image.at(x, row, 0) == 0) return true;
+    return false;
+}
+
+TEST(Text, OnlyLettersWithDescendersReachBelowTheBaseLineAndTheyAreNoTallerThanAnX)
+{
+    const std::string descending = "gjpqy";
+    for (char sign = 'A'; sign <= 'z'; ++sign) {
+        if (!std::isalnum(static_cast<unsigned char>(sign))) continue;
+        const bool below = descending.find(sign) != std::string::npos;
+        EXPECT_EQ(has_ink(sign, 7), below) << sign;
+        EXPECT_EQ(has_ink(sign, 8), below) << sign;
+        if (!below || sign == 'j') continue;
+        EXPECT_FALSE(has_ink(sign, 1)) << sign << " stands as high as an x";
+        EXPECT_TRUE(has_ink(sign, 2)) << sign;
+    }
+    EXPECT_FALSE(has_ink('x', 1));
+}
+
 // A grid whose every voxel differs, with other extents, edge and origin along each axis.
 constexpr Coord kDims{9, 14, 5};
 Scene numbered_scene()
