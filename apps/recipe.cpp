@@ -126,14 +126,17 @@ void refuse_deep_keys(const std::string& text, const std::filesystem::path& file
     }
 }
 
-toml::table parse(const std::filesystem::path& file)
+std::string read_text(const std::filesystem::path& file)
 {
-    std::string text;
     try {
-        text = read_file(file, kLargestRecipe);
+        return read_file(file, kLargestRecipe);
     } catch (const InvalidInput& error) {
         throw InvalidParameter(error.what());  // a recipe is part of the command line
     }
+}
+
+toml::table parse(const std::string& text, const std::filesystem::path& file)
+{
     refuse_deep_keys(text, file);
     try {
         return toml::parse(text, file.string());
@@ -369,8 +372,14 @@ std::string toml_value(const Json& value)
 
 Recipe read_recipe(const std::filesystem::path& file, const std::vector<std::string>& overrides)
 {
-    toml::table root = parse(file);
-    for (const std::string& text : overrides) apply_override(root, text);
+    return parse_recipe(read_text(file), file, overrides);
+}
+
+Recipe parse_recipe(const std::string& text, const std::filesystem::path& file,
+                    const std::vector<std::string>& overrides)
+{
+    toml::table root = parse(text, file);
+    for (const std::string& word : overrides) apply_override(root, word);
 
     Errors errors(file.string());
     Recipe recipe;
@@ -431,9 +440,28 @@ Recipe read_recipe(const std::filesystem::path& file, const std::vector<std::str
     return recipe;
 }
 
+void require_input_files(const Recipe& recipe, const std::vector<bool>& selected)
+{
+    StageContext context;
+    context.folder = recipe.folder;
+    std::vector<std::string> missing;
+    for (std::size_t i = 0; i < recipe.stages.size(); ++i) {
+        if (!selected[i]) continue;
+        const RecipeStage& stage = recipe.stages[i];
+        for (const Param& param : stage.process->params()) {
+            if (param.kind != Param::Kind::Path) continue;
+            const std::string path = param.get().get<std::string>();
+            if (path.empty() || std::filesystem::exists(Stage::resolve(context, path))) continue;
+            missing.push_back(fmt::format("{}: {}: {} = {}: no such file", stage.place, stage.name, param.name,
+                                          Stage::resolve(context, path).string()));
+        }
+    }
+    if (!missing.empty()) throw InvalidInput(fmt::format("{}", fmt::join(missing, "\n")));
+}
+
 void apply_params_file(const std::filesystem::path& file, const ParamList& params)
 {
-    const toml::table table = parse(file);
+    const toml::table table = parse(read_text(file), file);
     Errors errors(file.string());
     for (const auto& [key, node, source] : in_file_order(table)) {
         try {

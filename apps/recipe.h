@@ -34,6 +34,15 @@ struct Recipe {
 /// @throws InvalidInput      the recipe file cannot be read
 Recipe read_recipe(const std::filesystem::path& file, const std::vector<std::string>& overrides);
 
+/// The same from the text of a recipe; `file` names it in messages and need not exist.
+Recipe parse_recipe(const std::string& text, const std::filesystem::path& file,
+                    const std::vector<std::string>& overrides);
+
+/// Looks for every file that stages of a recipe read, before the first of them runs.
+/// @param selected  which stages count, by index
+/// @throws InvalidInput  all that are missing, one a line: `file:line:column: stage: key = path: no such file`
+void require_input_files(const Recipe& recipe, const std::vector<bool>& selected);
+
 /// Sets the parameters of a stage from a TOML file of `key = value` lines (or a recipe's stage table).
 void apply_params_file(const std::filesystem::path& file, const ParamList& params);
 

@@ -146,8 +146,7 @@ private:
         records_.resize(recipe_.stages.size());
         if (fs::exists(cache_ / "state.json")) state_ = read_json(cache_ / "state.json");
         if (state_.is_null() || !state_.is_object()) state_ = Json::object();
-        for (std::size_t i = 0; i < recipe_.stages.size(); ++i)
-            if (selected_[i]) require_files(i);
+        require_input_files(recipe_, selected_);
         if (options_.dry_run) return;
         refuse_foreign_manifest();
         for (std::size_t i = 0; i < recipe_.stages.size(); ++i)
@@ -168,18 +167,6 @@ private:
                 if (target.has_parent_path()) fs::create_directories(target.parent_path(), error);
                 check_target(target);
             }
-        }
-    }
-
-    /// A file that a late stage reads must not be missed only when its turn comes.
-    void require_files(std::size_t i) const
-    {
-        for (const Param& param : stage(i).process->params()) {
-            if (param.kind != Param::Kind::Path) continue;
-            const std::string path = param.get().get<std::string>();
-            if (path.empty() || fs::exists(Stage::resolve(context(i), path))) continue;
-            throw InvalidInput(fmt::format("{}: {}: {} = {}: no such file", stage(i).place, stage(i).name, param.name,
-                                           Stage::resolve(context(i), path).string()));
         }
     }
 

@@ -364,10 +364,19 @@ class Mistakes(CliTest):
     def test_input_files_that_are_not_there(self):
         # Those of late stages too, before anything is computed.
         self.recipe('sekitei = 1\n[lava]\npreset = "mesh"\nmesh = "nowhere.ply"\n[cool]\nsteps = 9999999\n[joint]\nseeds = "none.csv"\n')
-        self.refuse(USAGE, ["rock.toml:2:1", "nowhere.ply", "no such file", "rock.toml:7:1", "none.csv"], "check", "rock.toml")
-        self.refuse(BAD_INPUT, ["rock.toml:2:1", "nowhere.ply", "no such file"], "run", "rock.toml")
+        missing = ["rock.toml:2:1", "nowhere.ply", "no such file", "rock.toml:7:1", "none.csv"]
+        for command in (["check"], ["run"], ["run", "--dry-run"]):
+            self.refuse(BAD_INPUT, missing, *command, "rock.toml")
+        # A mistake in the recipe comes first: it may be why a file is missing.
+        for command in ("check", "run"):
+            self.refuse(USAGE, ["joint.spacing"], command, "rock.toml", "--set", "joint.spacing=-1")
+        self.recipe('sekitei = 1\n[lava]\npreset = "slab"\nfoo = 1\n', "wrong.toml")
+        self.refuse(USAGE, [*missing, "wrong.toml:4:1"], "check", "rock.toml", "wrong.toml")
+        self.refuse(USAGE, [*missing, "wrong.toml:4:1"], "check", "wrong.toml", "rock.toml")
         self.write("nowhere.ply", "ply\n")
-        self.refuse(BAD_INPUT, ["rock.toml:7:1", "none.csv", "no such file"], "run", "rock.toml")
+        for command in ("check", "run"):
+            done = self.refuse(BAD_INPUT, ["rock.toml:7:1", "none.csv", "no such file"], command, "rock.toml")
+            self.assertNotIn("nowhere.ply", done.err)
 
     def test_huge_and_deeply_nested_recipes_are_refused_quickly(self):
         path = self.folder / "huge.toml"
