@@ -547,67 +547,99 @@ TEST(Falling, TakesWeakPiecesThatTouchAirThroughOthersOfTheirKind)
     for (const std::uint32_t piece : {3u, 4u, 5u}) EXPECT_FALSE(falling.falls(piece));
 }
 
+/// Compares what has fallen with the definition: remove weak pieces with a face on air until
+/// nothing changes.
+/// @param wall  of the box, open to the air: 2 * axis + (1 for the upper side), or -1
+void expect_the_fixed_point(const Rock& rock, Params params, int wall)
+{
+    if (wall >= 0) {
+        Vec3d outwards(0.1, -0.1, 0.1);  // not quite along the axis
+        outwards[wall / 2] = wall % 2 ? 0.8 : -0.8;
+        params.open_face = outwards;
+    }
+    const Result result = rock.weathered(params);
+    params.collapse = Collapse::All;
+    const Result weak = rock.weathered(params);
+    EXPECT_GT(weak.removed_pieces, result.removed_pieces);
+
+    auto stands = [&](const Result& r, Coord c) {  // by the side of the ramp
+        return r.density.value(c) >= .5f;
+    };
+    std::set<int> is_weak, gone;
+    std::set<std::pair<int, int>> faces;
+    const Coord n = rock.domain.dims;
+    auto open = [&](Coord c) {
+        if (wall < 0) return false;
+        return wall % 2 ? c[wall / 2] >= n[wall / 2] : c[wall / 2] < 0;
+    };
+    for (int x = 0; x < n.x; ++x)
+        for (int y = 0; y < n.y; ++y)
+            for (int z = 0; z < n.z; ++z) {
+                const Coord c(x, y, z);
+                const int piece = result.component.value(c);
+                if (piece < 0) continue;
+                if (!stands(weak, c)) is_weak.insert(piece);
+                for (int axis = 0; axis < 3; ++axis)
+                    for (int side = -1; side <= 1; side += 2) {
+                        Coord d = c;
+                        d[axis] += side;
+                        const int other = result.component.value(d);
+                        const bool air =
+                            rock.domain.contains(d) ? rock.region.value(d) == 1 : open(d);
+                        if (air) faces.insert({piece, -1});
+                        if (other >= 0 && other != piece) faces.insert({piece, other});
+                    }
+            }
+    for (bool changed = true; changed;) {
+        changed = false;
+        for (const auto& [piece, other] : faces)
+            if (is_weak.contains(piece) && !gone.contains(piece) &&
+                (other == -1 || gone.contains(other))) {
+                gone.insert(piece);
+                changed = true;
+            }
+    }
+    std::size_t removed = 0;
+    for (int x = 0; x < n.x; ++x)
+        for (int y = 0; y < n.y; ++y)
+            for (int z = 0; z < n.z; ++z) {
+                const int piece = result.component.value({x, y, z});
+                if (piece < 0) continue;
+                const bool fell = gone.contains(piece);
+                removed += fell;
+                ASSERT_EQ(stands(result, {x, y, z}), !fell);
+            }
+    EXPECT_GT(removed, 0u);
+    EXPECT_EQ(static_cast<double>(removed), result.removed_voxels);
+}
+
+Params prone()
+{
+    Params params;
+    params.cut = Cut::Perpendicular;
+    params.noise_weight = 0.9;
+    params.noise_wavelength = 9;
+    return params;
+}
+
 TEST(Collapse, ToAFixedPointIsWhatRepeatedInspectionFinds)
 {
-    const Rock rock = layered({37, 42, 51});
-    for (const bool open : {false, true}) {
-        Params params;
-        params.cut = Cut::Perpendicular;
-        params.noise_weight = 0.9;
-        params.noise_wavelength = 9;
-        if (open) params.open_face = Vec3d(0.1, -0.8, 0);
-        const Result result = rock.weathered(params);
-        Params all = params;
-        all.collapse = Collapse::All;
-        const Result weak = rock.weathered(all);
-        EXPECT_GT(weak.removed_pieces, result.removed_pieces);
+    for (const int wall : {-1, 2}) expect_the_fixed_point(layered({37, 42, 51}), prone(), wall);
+}
 
-        // By definition: remove weak pieces with a face on air until nothing changes.
-        auto stands = [&](const Result& r, Coord c) {  // by the side of the ramp
-            return r.density.value(c) >= .5f;
-        };
-        std::set<int> is_weak, gone;
-        std::set<std::pair<int, int>> faces;
-        const Coord n = rock.domain.dims;
-        for (int x = 0; x < n.x; ++x)
-            for (int y = 0; y < n.y; ++y)
-                for (int z = 0; z < n.z; ++z) {
-                    const Coord c(x, y, z);
-                    const int piece = result.component.value(c);
-                    if (piece < 0) continue;
-                    if (!stands(weak, c)) is_weak.insert(piece);
-                    for (int axis = 0; axis < 3; ++axis)
-                        for (int side = -1; side <= 1; side += 2) {
-                            Coord d = c;
-                            d[axis] += side;
-                            const int other = result.component.value(d);
-                            const bool air = rock.domain.contains(d) ? rock.region.value(d) == 1
-                                                                     : open && d.y < 0;
-                            if (air) faces.insert({piece, -1});
-                            if (other >= 0 && other != piece) faces.insert({piece, other});
-                        }
-                }
-        for (bool changed = true; changed;) {
-            changed = false;
-            for (const auto& [piece, other] : faces)
-                if (is_weak.contains(piece) && !gone.contains(piece) &&
-                    (other == -1 || gone.contains(other))) {
-                    gone.insert(piece);
-                    changed = true;
-                }
-        }
-        std::size_t removed = 0;
-        for (int x = 0; x < n.x; ++x)
-            for (int y = 0; y < n.y; ++y)
-                for (int z = 0; z < n.z; ++z) {
-                    const int piece = result.component.value({x, y, z});
-                    if (piece < 0) continue;
-                    const bool fell = gone.contains(piece);
-                    removed += fell;
-                    ASSERT_EQ(stands(result, {x, y, z}), !fell);
-                }
-        EXPECT_GT(removed, 0u);
-        EXPECT_EQ(static_cast<double>(removed), result.removed_voxels);
+TEST(Collapse, StartsAtWhicheverWallIsOpen)
+{
+    // Lava from wall to wall: nothing else is air. One side ends with a leaf, the others inside
+    // one.
+    const Coord n(40, 27, 34);
+    std::vector<std::vector<Vec3d>> lines;
+    for (double x = 3; x < n.x; x += 6)
+        for (double y = 2; y < n.y; y += 5)
+            lines.push_back({{x, y, 34}, {x + 1, y + 2, 17}, {x + 2, y + 1, 0}});
+    const Rock rock(n, lines, everywhere, nullptr);
+    for (int wall = 0; wall < 6; ++wall) {
+        SCOPED_TRACE("wall " + std::to_string(wall));
+        expect_the_fixed_point(rock, prone(), wall);
     }
 }
 
