@@ -31,7 +31,7 @@ namespace {
 /// Options shared by all commands, as words.
 struct CommonWords {
     std::vector<std::string> output;
-    std::optional<std::string> seed, threads, memory;  // an empty word is a mistake, not the default
+    std::optional<std::string> seed, threads, memory;  // "" is a mistake, not the default
     std::string params;
     bool force = false, json = false, quiet = false, verbose = false, fix_nan = false;
 };
@@ -39,15 +39,40 @@ struct CommonWords {
 void add_common(CLI::App& command, CommonWords& words, bool writes)
 {
     if (writes) {
-        command.add_option("-o,--output", words.output, "file to write, - for standard output; may be repeated")->type_name("FILE")->allow_extra_args(false)->group("General");
+        command
+            .add_option("-o,--output", words.output,
+                        "file to write, - for standard output; may be repeated")
+            ->type_name("FILE")
+            ->allow_extra_args(false)
+            ->group("General");
         command.add_flag("--force", words.force, "replace existing files")->group("General");
-        command.add_option("--seed", words.seed, "seed of all random numbers (integer, 0 or larger; default 1)")->type_name("N")->group("General");
-        command.add_option("--params", words.params, "TOML file of parameters; options on the command line win")->type_name("FILE")->group("General");
-        command.add_flag("--fix-nan", words.fix_nan, "replace NaN and infinite voxels by the background")->group("General");
+        command
+            .add_option("--seed", words.seed,
+                        "seed of all random numbers (integer, 0 or larger; default 1)")
+            ->type_name("N")
+            ->group("General");
+        command
+            .add_option("--params", words.params,
+                        "TOML file of parameters; options on the command line win")
+            ->type_name("FILE")
+            ->group("General");
+        command
+            .add_flag("--fix-nan", words.fix_nan,
+                      "replace NaN and infinite voxels by the background")
+            ->group("General");
     }
-    command.add_option("--threads", words.threads, "threads to use (default: all cores); the result is the same")->type_name("N")->group("General");
-    command.add_option("--memory", words.memory, "refuse work that needs more (default: what the machine has)")->type_name("SIZE")->group("General");
-    command.add_flag("--json", words.json, "print one JSON summary on standard output")->group("General");
+    command
+        .add_option("--threads", words.threads,
+                    "threads to use (default: all cores); the result is the same")
+        ->type_name("N")
+        ->group("General");
+    command
+        .add_option("--memory", words.memory,
+                    "refuse work that needs more (default: what the machine has)")
+        ->type_name("SIZE")
+        ->group("General");
+    command.add_flag("--json", words.json, "print one JSON summary on standard output")
+        ->group("General");
     command.add_flag("-q,--quiet", words.quiet, "say only warnings and errors")->group("General");
     command.add_flag("-v,--verbose", words.verbose, "say more")->group("General");
 }
@@ -57,14 +82,16 @@ std::uint64_t whole_number(const std::string& word, const char* option, std::uin
     std::uint64_t value = 0;
     const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
     if (error != std::errc{} || end != word.data() + word.size() || value > most)
-        throw InvalidParameter(fmt::format("{} {}: must be an integer from 0 to {}", option, word, most));
+        throw InvalidParameter(
+            fmt::format("{} {}: must be an integer from 0 to {}", option, word, most));
     return value;
 }
 
 /// The smaller of the machine's memory and the process's own limit.
 double memory_of_machine()
 {
-    double bytes = static_cast<double>(::sysconf(_SC_PHYS_PAGES)) * static_cast<double>(::sysconf(_SC_PAGE_SIZE));
+    double bytes = static_cast<double>(::sysconf(_SC_PHYS_PAGES)) *
+                   static_cast<double>(::sysconf(_SC_PAGE_SIZE));
     rlimit limit{};
     if (::getrlimit(RLIMIT_AS, &limit) == 0 && limit.rlim_cur != RLIM_INFINITY)
         bytes = std::min(bytes, static_cast<double>(limit.rlim_cur));
@@ -95,7 +122,9 @@ Common understood(const CommonWords& words, std::size_t& threads)
         // More threads than cores only cost memory.
         threads = std::min<std::size_t>(threads, std::max(1u, std::thread::hardware_concurrency()));
     }
-    log::set_level(words.quiet ? log::Level::Warning : words.verbose ? log::Level::Detail : log::Level::Info);
+    log::set_level(words.quiet     ? log::Level::Warning
+                   : words.verbose ? log::Level::Detail
+                                   : log::Level::Info);
     return common;
 }
 
@@ -104,7 +133,7 @@ struct Command {
     CLI::App* app = nullptr;
     CommonWords common;
     std::vector<std::string> files, set, only;
-    std::map<std::string, std::string> words;    // parameters of a stage
+    std::map<std::string, std::string> words;  // parameters of a stage
     std::map<std::string, bool> flags;
     std::string stage, shell, text;
     bool dry_run = false, full = false, markdown = false;
@@ -114,8 +143,8 @@ struct Command {
 
 using Commands = std::vector<std::unique_ptr<Command>>;
 
-Command& add_command(CLI::App& program, Commands& commands, const std::string& name, const std::string& summary, bool writes,
-                     const char* group)
+Command& add_command(CLI::App& program, Commands& commands, const std::string& name,
+                     const std::string& summary, bool writes, const char* group)
 {
     auto command = std::make_unique<Command>();
     command->app = program.add_subcommand(name, summary)->group(group);
@@ -128,16 +157,26 @@ void add_stage_command(CLI::App& program, Commands& commands, const StageInfo& i
 {
     Command& c = add_command(program, commands, info.name, info.summary, true, "Processes");
     if (info.reads_scene)
-        c.app->add_option("scene", c.files, info.output == OutputKind::Picture ? "scene (.vdb) or mesh to look at, - for standard input"
-                                                                               : "scene to read (.vdb), - for standard input")
-            ->type_name("FILE")->expected(0, -1);
+        c.app
+            ->add_option("scene", c.files,
+                         info.output == OutputKind::Picture
+                             ? "scene (.vdb) or mesh to look at, - for standard input"
+                             : "scene to read (.vdb), - for standard input")
+            ->type_name("FILE")
+            ->expected(0, -1);
     const auto stage = make_stage(info.name);
     for (const Param& p : stage->params()) {
         const std::string option = option_name(p.name);
-        const std::string help = fmt::format("{} ({}; default {})", p.help, p.type_text(), p.value_text());
+        const std::string help =
+            fmt::format("{} ({}; default {})", p.help, p.type_text(), p.value_text());
         if (p.kind == Param::Kind::Flag)
-            c.app->add_flag("--" + option + ",!--no-" + option, c.flags[p.name], help)->group("Parameters");
-        else c.app->add_option("--" + option, c.words[p.name], help)->type_name("VALUE")->allow_extra_args(false)->group("Parameters");
+            c.app->add_flag("--" + option + ",!--no-" + option, c.flags[p.name], help)
+                ->group("Parameters");
+        else
+            c.app->add_option("--" + option, c.words[p.name], help)
+                ->type_name("VALUE")
+                ->allow_extra_args(false)
+                ->group("Parameters");
     }
     c.run = [&c, name = info.name](const Common& common) {
         Words words;
@@ -145,7 +184,9 @@ void add_stage_command(CLI::App& program, Commands& commands, const StageInfo& i
         for (const Param& p : described->params()) {
             const CLI::Option* option = c.app->get_option("--" + option_name(p.name));
             if (option->count() == 0) continue;
-            words.emplace_back(p.name, p.kind == Param::Kind::Flag ? (c.flags[p.name] ? "true" : "false") : c.words[p.name]);
+            words.emplace_back(p.name, p.kind == Param::Kind::Flag
+                                           ? (c.flags[p.name] ? "true" : "false")
+                                           : c.words[p.name]);
         }
         return command_stage(name, c.files, words, common);
     };
@@ -163,49 +204,77 @@ void add_tool_commands(CLI::App& program, Commands& commands)
     };
     {
         Command& c = add("run");
-        c.app->add_option("recipe", c.files, "recipe (.toml)")->type_name("FILE")->required()->expected(1);
-        c.app->add_option("--set", c.set, "override a key: joint.spacing=30cm; may be repeated")->type_name("KEY=VALUE")->allow_extra_args(false);
-        c.app->add_option("--only", c.only, "run this stage and what it reads; may be repeated")->type_name("STAGE")->allow_extra_args(false);
+        c.app->add_option("recipe", c.files, "recipe (.toml)")
+            ->type_name("FILE")
+            ->required()
+            ->expected(1);
+        c.app->add_option("--set", c.set, "override a key: joint.spacing=30cm; may be repeated")
+            ->type_name("KEY=VALUE")
+            ->allow_extra_args(false);
+        c.app->add_option("--only", c.only, "run this stage and what it reads; may be repeated")
+            ->type_name("STAGE")
+            ->allow_extra_args(false);
         c.app->add_flag("--dry-run", c.dry_run, "say what would run, why, and what it would take");
         c.app->add_flag("--force", c.common.force, "replace files that this recipe did not make");
-        c.app->add_flag("--fix-nan", c.common.fix_nan, "replace NaN and infinite voxels by the background");
-        c.app->add_option("--seed", c.common.seed, "seed of the recipe")->type_name("N")->group("General");
+        c.app->add_flag("--fix-nan", c.common.fix_nan,
+                        "replace NaN and infinite voxels by the background");
+        c.app->add_option("--seed", c.common.seed, "seed of the recipe")
+            ->type_name("N")
+            ->group("General");
         c.run = [&c](const Common& common) {
             std::vector<std::string> overrides = c.set;
             if (c.common.seed) overrides.push_back("seed=" + *c.common.seed);
-            return command_run(c.files.at(0), overrides, {c.only.begin(), c.only.end()}, c.dry_run, common);
+            return command_run(c.files.at(0), overrides, {c.only.begin(), c.only.end()}, c.dry_run,
+                               common);
         };
     }
     {
         Command& c = add("check");
         c.app->add_option("recipe", c.files, "recipes (.toml)")->type_name("FILE")->required();
-        c.app->add_option("--set", c.set, "override a key")->type_name("KEY=VALUE")->allow_extra_args(false);
+        c.app->add_option("--set", c.set, "override a key")
+            ->type_name("KEY=VALUE")
+            ->allow_extra_args(false);
         c.run = [&c](const Common& common) { return command_check(c.files, c.set, common); };
     }
     {
         Command& c = add("info");
-        c.app->add_option("file", c.files, "scenes (.vdb) or meshes")->type_name("FILE")->required();
+        c.app->add_option("file", c.files, "scenes (.vdb) or meshes")
+            ->type_name("FILE")
+            ->required();
         c.run = [&c](const Common& common) { return command_info(c.files, common); };
     }
     {
         Command& c = add("replay");
-        c.app->add_option("file", c.files, "scene (.vdb)")->type_name("FILE")->required()->expected(1);
-        c.app->add_flag("--full", c.full, "write every value, not only those that differ from the defaults");
+        c.app->add_option("file", c.files, "scene (.vdb)")
+            ->type_name("FILE")
+            ->required()
+            ->expected(1);
+        c.app->add_flag("--full", c.full,
+                        "write every value, not only those that differ from the defaults");
         c.run = [&c](const Common&) { return command_replay(c.files.at(0), c.full); };
     }
     {
         Command& c = add("diff");
-        c.app->add_option("files", c.files, "two scenes or two meshes")->type_name("FILE")->required()->expected(2);
-        c.app->add_option("--tolerance", c.tolerance, "largest difference that counts as equal (default 0)")->type_name("NUMBER");
+        c.app->add_option("files", c.files, "two scenes or two meshes")
+            ->type_name("FILE")
+            ->required()
+            ->expected(2);
+        c.app
+            ->add_option("--tolerance", c.tolerance,
+                         "largest difference that counts as equal (default 0)")
+            ->type_name("NUMBER");
         c.run = [&c](const Common& common) {
             const double tolerance = parse_quantity(c.tolerance, "");
-            if (tolerance < 0) throw InvalidParameter(fmt::format("--tolerance {}: must be >= 0", c.tolerance));
+            if (tolerance < 0)
+                throw InvalidParameter(fmt::format("--tolerance {}: must be >= 0", c.tolerance));
             return command_diff(c.files.at(0), c.files.at(1), tolerance, common);
         };
     }
     {
         Command& c = add("verify");
-        c.app->add_option("files", c.files, "scenes (.vdb) or manifests (.json)")->type_name("FILE")->required();
+        c.app->add_option("files", c.files, "scenes (.vdb) or manifests (.json)")
+            ->type_name("FILE")
+            ->required();
         c.run = [&c](const Common& common) { return command_verify(c.files, common); };
     }
     {
@@ -231,14 +300,17 @@ std::string helped(const CLI::ParseError& error, const CLI::App& program, int ar
     for (const CLI::Option* option : app->get_options())
         for (const std::string& name : option->get_lnames()) known.push_back("--" + name);
     for (const CLI::App* sub : app->get_subcommands(nullptr)) known.push_back(sub->get_name());
-    if (app == &program)  // no command was understood: the first word that is no option was meant as one
+    if (app ==
+        &program)  // no command was understood: the first word that is no option was meant as one
         for (int i = 1; i < argc; ++i) {
             const std::string word = argv[i];
             if (word.empty() || word[0] == '-') continue;
             const std::string near = nearest_name(word, known);
-            return fmt::format("there is no command '{}'{}", word, near.empty() ? "" : fmt::format("; did you mean '{}'?", near));
+            return fmt::format("there is no command '{}'{}", word,
+                               near.empty() ? "" : fmt::format("; did you mean '{}'?", near));
         }
-    else message = app->get_name() + ": " + message;
+    else
+        message = app->get_name() + ": " + message;
     for (int i = 1; i < argc; ++i) {
         std::string word = argv[i];
         word = word.substr(0, word.find('='));
@@ -246,7 +318,8 @@ std::string helped(const CLI::ParseError& error, const CLI::App& program, int ar
         if (!word.starts_with("--") || word == "--" || word.starts_with("--no-")) continue;
         if (std::find(known.begin(), known.end(), word) != known.end()) continue;
         const std::string near = nearest_name(word, known);
-        return fmt::format("{}: there is no option {}{}", app->get_name(), word, near.empty() ? "" : fmt::format("; did you mean '{}'?", near));
+        return fmt::format("{}: there is no option {}{}", app->get_name(), word,
+                           near.empty() ? "" : fmt::format("; did you mean '{}'?", near));
     }
     return message;
 }
@@ -261,7 +334,10 @@ void complain(const std::string& text)
 
 int parse_and_run(int argc, char** argv)
 {
-    CLI::App program{"Sekitei grows natural scenery from its causes: lava cools, rock splits into columns, weather breaks them.", "sekitei"};
+    CLI::App program{
+        "Sekitei grows natural scenery from its causes: lava cools, rock splits into columns, "
+        "weather breaks them.",
+        "sekitei"};
     program.set_version_flag("--version", std::string("sekitei ") + SEKITEI_VERSION);
     program.require_subcommand(1);
     program.get_formatter()->column_width(30);
@@ -286,18 +362,24 @@ int parse_and_run(int argc, char** argv)
 }
 
 /// TBB says so in words when the system gives it no thread.
-bool no_thread(const std::exception& error) { return std::string_view(error.what()).find("pthread_create") != std::string_view::npos; }
+bool no_thread(const std::exception& error)
+{
+    return std::string_view(error.what()).find("pthread_create") != std::string_view::npos;
+}
 
 void complain_of_threads(const std::exception& error)
 {
-    complain(fmt::format("cannot start another thread: {}; use fewer --threads or give the process more memory", error.what()));
+    complain(fmt::format(
+        "cannot start another thread: {}; use fewer --threads or give the process more memory",
+        error.what()));
 }
 
 /// TBB's threads have nobody above them to catch: when one cannot start for want of memory, say so.
 [[noreturn]] void on_terminate()
 {
     try {
-        if (const std::exception_ptr thrown = std::current_exception()) std::rethrow_exception(thrown);
+        if (const std::exception_ptr thrown = std::current_exception())
+            std::rethrow_exception(thrown);
         complain("this is a bug in Sekitei: the program ended itself");
     } catch (const std::bad_alloc&) {
         complain("out of memory; make the voxels larger or give the process more memory");
@@ -321,13 +403,16 @@ int run_command_line(int argc, char** argv)
     log::set_sink([](log::Level level, const std::string& line) {
         clear_progress_line();
         const char *yellow = use_colour() ? "\033[33m" : "", *plain = use_colour() ? "\033[0m" : "";
-        const std::string text = level == log::Level::Warning ? fmt::format("{}warning:{} {}\n", yellow, plain, line) : line + "\n";
+        const std::string text = level == log::Level::Warning
+                                     ? fmt::format("{}warning:{} {}\n", yellow, plain, line)
+                                     : line + "\n";
         std::fwrite(text.data(), 1, text.size(), stderr);
     });
     try {
         return parse_and_run(argc, argv);
     } catch (const Cancelled&) {
-        complain("interrupted; nothing half-written is left, `sekitei run` goes on where it stopped");
+        complain(
+            "interrupted; nothing half-written is left, `sekitei run` goes on where it stopped");
         return interrupted_exit_code();
     } catch (const Error& error) {
         complain(error.what());
@@ -335,7 +420,8 @@ int run_command_line(int argc, char** argv)
     } catch (const std::bad_alloc&) {
         complain("out of memory; make the voxels larger or give the process more memory");
         return static_cast<int>(ExitCode::Limit);
-    } catch (const std::filesystem::filesystem_error& error) {  // a path that cannot even be looked at
+    } catch (
+        const std::filesystem::filesystem_error& error) {  // a path that cannot even be looked at
         complain(fmt::format("{}: {}", error.path1().string(), error.code().message()));
         return static_cast<int>(ExitCode::BadInput);
     } catch (const std::exception& error) {

@@ -52,11 +52,20 @@ void install_signal_handlers()
     sigaction(SIGTERM, &action, nullptr);
 }
 
-int interrupted_exit_code() { return g_signal == SIGTERM ? 128 + SIGTERM : 128 + SIGINT; }
+int interrupted_exit_code()
+{
+    return g_signal == SIGTERM ? 128 + SIGTERM : 128 + SIGINT;
+}
 
-bool stderr_is_terminal() { return ::isatty(STDERR_FILENO) == 1; }
+bool stderr_is_terminal()
+{
+    return ::isatty(STDERR_FILENO) == 1;
+}
 
-bool use_colour() { return stderr_is_terminal() && std::getenv("NO_COLOR") == nullptr; }
+bool use_colour()
+{
+    return stderr_is_terminal() && std::getenv("NO_COLOR") == nullptr;
+}
 
 std::string duration_text(double seconds)
 {

@@ -12,8 +12,8 @@ namespace sekitei::apps {
 /// swept by the next run; final names are never half-written).
 extern std::atomic<bool> g_stop;
 
-/// Puts /dev/null where standard input, output or error is closed, opened the wrong way round so that
-/// use still fails: otherwise the next file opened takes the number, and words end up in data.
+/// Puts /dev/null where standard input, output or error is closed, opened the wrong way round so
+/// that use still fails: otherwise the next file opened takes the number, and words end up in data.
 void hold_standard_descriptors();
 
 /// Installs handlers for SIGINT, SIGTERM; ignores SIGPIPE and SIGXFSZ so that writes

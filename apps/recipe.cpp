@@ -30,7 +30,8 @@ public:
     }
     void add(const toml::source_region& source, const std::string& text)
     {
-        found_[{source.begin.line, source.begin.column, found_.size()}] = place(source) + ": " + text;
+        found_[{source.begin.line, source.begin.column, found_.size()}] =
+            place(source) + ": " + text;
     }
     void add(const std::string& where, const std::string& text)
     {
@@ -50,7 +51,8 @@ private:
     std::map<std::tuple<std::uint32_t, std::uint32_t, std::size_t>, std::string> found_;
 };
 
-/// A TOML value as the neutral form that parameters take; throws for dates and tables, naming the key.
+/// A TOML value as the neutral form that parameters take; throws for dates and tables, naming the
+/// key.
 Json to_json(const toml::node& node, const std::string& key)
 {
     if (const auto* v = node.as_string()) return v->get();
@@ -65,7 +67,8 @@ Json to_json(const toml::node& node, const std::string& key)
         for (const toml::node& element : *v) list.push_back(to_json(element, key));
         return list;
     }
-    throw InvalidParameter(key + " is a table or a date, expected a number, text, true, false or a list");
+    throw InvalidParameter(key +
+                           " is a table or a date, expected a number, text, true, false or a list");
 }
 
 std::vector<std::string> strings_of(const toml::node& node, const std::string& key)
@@ -121,8 +124,10 @@ void refuse_deep_keys(const std::string& text, const std::filesystem::path& file
         if (c == '\n') ++line;
         if (c == '\n' || c == ',' || c == '=' || c == '{') dots = 0;
         if (c == '.' && ++dots > kMostDots)
-            throw InvalidParameter(fmt::format("{}:{}:1: more than {} dots in a key; recipes have tables such as [lava] and no deeper ones",
-                                               file.string(), line, kMostDots));
+            throw InvalidParameter(
+                fmt::format("{}:{}:1: more than {} dots in a key; recipes have tables such as "
+                            "[lava] and no deeper ones",
+                            file.string(), line, kMostDots));
     }
 }
 
@@ -148,8 +153,8 @@ toml::table parse(const std::string& text, const std::filesystem::path& file)
 
 const std::vector<std::string>& extensions_of(OutputKind kind)
 {
-    static const std::vector<std::string> kScene{".vdb"}, kMesh{".ply", ".obj", ".stl", ".off", ".glb", ".vdb"},
-        kPicture{".png"};
+    static const std::vector<std::string> kScene{".vdb"},
+        kMesh{".ply", ".obj", ".stl", ".off", ".glb", ".vdb"}, kPicture{".png"};
     return kind == OutputKind::Scene ? kScene : kind == OutputKind::Mesh ? kMesh : kPicture;
 }
 
@@ -171,25 +176,34 @@ bool usable_name(const std::string& name)
 }
 
 /// Fills a draft from its table.
-void read_stage(const std::string& name, const toml::table& table, std::uint64_t seed, Draft& draft, Errors& errors)
+void read_stage(const std::string& name, const toml::table& table, std::uint64_t seed, Draft& draft,
+                Errors& errors)
 {
     draft.stage.name = name;
     draft.stage.seed = seed;
     draft.source = draft.write_source = table.source();
     draft.stage.place = errors.place(table.source());
     if (!usable_name(name))
-        return errors.add(table.source(), fmt::format("{}: a stage's name has 1 to 100 bytes, no '/' and no control characters, "
-                                                      "and does not begin with a dot", Json(name.substr(0, 40)).dump(-1, ' ', true, Json::error_handler_t::replace)));
+        return errors.add(
+            table.source(),
+            fmt::format(
+                "{}: a stage's name has 1 to 100 bytes, no '/' and no control characters, "
+                "and does not begin with a dot",
+                Json(name.substr(0, 40)).dump(-1, ' ', true, Json::error_handler_t::replace)));
     std::string process = name;
     if (const toml::node* node = table.get("stage")) {
-        if (const auto* text = node->as_string()) process = text->get();
-        else return errors.add(node->source(), fmt::format("{}.stage: must be the name of a stage", name));
+        if (const auto* text = node->as_string())
+            process = text->get();
+        else
+            return errors.add(node->source(),
+                              fmt::format("{}.stage: must be the name of a stage", name));
     }
     try {
         draft.stage.process = make_stage(process);
     } catch (const Error& error) {
         const toml::node* node = table.get("stage");
-        return errors.add(node ? node->source() : table.source(), fmt::format("{}: {}", name, error.what()));
+        return errors.add(node ? node->source() : table.source(),
+                          fmt::format("{}: {}", name, error.what()));
     }
     const ParamList params = draft.stage.process->params();
     for (const auto& [key, node, source] : in_file_order(table)) {
@@ -199,12 +213,10 @@ void read_stage(const std::string& name, const toml::table& table, std::uint64_t
             if (key == "from") {
                 draft.from = strings_of(*node, "from");
                 draft.from_given = true;
-            }
-            else if (key == "write") {
+            } else if (key == "write") {
                 draft.write_source = node->source();
                 draft.stage.write = strings_of(*node, "write");
-            }
-            else if (key == "seed")
+            } else if (key == "seed")
                 draft.stage.seed = seed_of(*node);
             else if (const Param* param = find_param(params, key))
                 param->set(to_json(*node, key));
@@ -214,8 +226,8 @@ void read_stage(const std::string& name, const toml::table& table, std::uint64_t
                 const std::string near = nearest_name(key, known);
                 errors.add(source,
                            fmt::format("{}: unknown key; {}", where,
-                                       near.empty() ? fmt::format("the keys of `{}` are: {}", process,
-                                                                  fmt::join(known, ", "))
+                                       near.empty() ? fmt::format("the keys of `{}` are: {}",
+                                                                  process, fmt::join(known, ", "))
                                                     : fmt::format("did you mean '{}'?", near)));
             }
         } catch (const Error& error) {
@@ -244,9 +256,10 @@ std::vector<std::size_t> sorted(const std::vector<Draft>& drafts, Errors& errors
                 continue;
             }
             const std::string near = nearest_name(parent, names);
-            errors.add(drafts[i].source,
-                       fmt::format("{}.from: there is no stage '{}'{}", drafts[i].stage.name, parent,
-                                   near.empty() ? "" : fmt::format(", did you mean '{}'?", near)));
+            errors.add(
+                drafts[i].source,
+                fmt::format("{}.from: there is no stage '{}'{}", drafts[i].stage.name, parent,
+                            near.empty() ? "" : fmt::format(", did you mean '{}'?", near)));
         }
     std::vector<std::size_t> order;
     std::vector<bool> placed(drafts.size(), false);
@@ -254,7 +267,8 @@ std::vector<std::size_t> sorted(const std::vector<Draft>& drafts, Errors& errors
         moved = false;
         for (std::size_t i = 0; i < drafts.size(); ++i) {
             if (placed[i]) continue;
-            if (!std::all_of(parents[i].begin(), parents[i].end(), [&](std::size_t p) { return placed[p]; }))
+            if (!std::all_of(parents[i].begin(), parents[i].end(),
+                             [&](std::size_t p) { return placed[p]; }))
                 continue;
             placed[i] = moved = true;
             order.push_back(i);
@@ -271,22 +285,26 @@ std::vector<std::size_t> sorted(const std::vector<Draft>& drafts, Errors& errors
 }
 
 /// Every grid, point set and mesh that a stage needs must be made by something it reads.
-void check_supplies(const std::vector<Draft>& drafts, const std::vector<std::size_t>& order, Errors& errors)
+void check_supplies(const std::vector<Draft>& drafts, const std::vector<std::size_t>& order,
+                    Errors& errors)
 {
     std::map<std::string, std::set<std::string>> visible;
     for (const std::size_t i : order) {
         const RecipeStage& stage = drafts[i].stage;
         std::set<std::string>& here = visible[stage.name];
-        for (const std::string& parent : drafts[i].from) here.insert(visible[parent].begin(), visible[parent].end());
+        for (const std::string& parent : drafts[i].from)
+            here.insert(visible[parent].begin(), visible[parent].end());
         for (const std::string& need : stage.process->needs()) {
             if (here.contains(need)) continue;
             std::string maker;
             for (const StageInfo& info : stage_infos())
                 for (const std::string& made : info.makes)
                     if (made == need) maker = info.name;
-            errors.add(drafts[i].source,
-                       fmt::format("{}: needs '{}', which no stage it reads makes{}", stage.name, need,
-                                   maker.empty() ? "" : fmt::format("; add a `{}` stage before it", maker)));
+            errors.add(
+                drafts[i].source,
+                fmt::format(
+                    "{}: needs '{}', which no stage it reads makes{}", stage.name, need,
+                    maker.empty() ? "" : fmt::format("; add a `{}` stage before it", maker)));
         }
         for (const std::string& made : stage.process->info().makes) here.insert(made);
     }
@@ -303,15 +321,20 @@ void check_writes(const std::vector<Draft>& drafts, Errors& errors)
             const std::filesystem::path path(name);
             const auto& allowed = extensions_of(stage.process->info().output);
             auto complain = [&](const std::string& text) {
-                errors.add(draft.write_source, fmt::format("{}.write: '{}' {}", stage.name, name, text));
+                errors.add(draft.write_source,
+                           fmt::format("{}.write: '{}' {}", stage.name, name, text));
             };
-            if (std::find(allowed.begin(), allowed.end(), path.extension().string()) == allowed.end())
+            if (std::find(allowed.begin(), allowed.end(), path.extension().string()) ==
+                allowed.end())
                 complain(fmt::format("must end in one of: {}", fmt::join(allowed, ", ")));
             const std::string plain = path.lexically_normal().string();
-            if (path.is_absolute() || plain.starts_with("..")) complain("must lie inside the output folder");
-            if (plain == "manifest.json" || plain.starts_with(".sekitei")) complain("is a name the program uses itself");
+            if (path.is_absolute() || plain.starts_with(".."))
+                complain("must lie inside the output folder");
+            if (plain == "manifest.json" || plain.starts_with(".sekitei"))
+                complain("is a name the program uses itself");
             const auto [other, is_new] = owner.emplace(plain, stage.name);
-            if (!is_new) complain(fmt::format("is already written by the stage '{}'", other->second));
+            if (!is_new)
+                complain(fmt::format("is already written by the stage '{}'", other->second));
         }
     }
 }
@@ -349,8 +372,8 @@ void apply_override(toml::table& root, const std::string& text)
             std::vector<std::string> names;
             for (const auto& [k, node] : root)
                 if (node.is_table()) names.emplace_back(k.str());
-            throw InvalidParameter(fmt::format("--set {}: the recipe has no stage '{}', it has: {}", text, stage,
-                                               fmt::join(names, ", ")));
+            throw InvalidParameter(fmt::format("--set {}: the recipe has no stage '{}', it has: {}",
+                                               text, stage, fmt::join(names, ", ")));
         }
     }
     // Moved, for a copy forgets where it was written.
@@ -387,7 +410,8 @@ Recipe parse_recipe(const std::string& text, const std::filesystem::path& file,
     recipe.folder = file.has_parent_path() ? file.parent_path() : ".";
     recipe.out = "out/" + file.stem().string();
     const toml::node* version = root.get("sekitei");
-    if (!version) errors.add(file.string() + ":1:1", "sekitei: missing, expected `sekitei = 1` at the top");
+    if (!version)
+        errors.add(file.string() + ":1:1", "sekitei: missing, expected `sekitei = 1` at the top");
     else if (const auto* v = version->as_integer(); !v || v->get() != 1)
         errors.add(version->source(), "sekitei: recipes of this program have the version 1");
 
@@ -395,15 +419,19 @@ Recipe parse_recipe(const std::string& text, const std::filesystem::path& file,
     for (const auto& [key, node, source] : in_file_order(root)) {
         try {
             if (key == "sekitei") continue;
-            if (key == "seed") recipe.seed = seed_of(*node);
+            if (key == "seed")
+                recipe.seed = seed_of(*node);
             else if (key == "out") {
                 const auto* folder = node->as_string();
-                if (!folder || folder->get().empty()) throw InvalidParameter("must be the name of a folder");
+                if (!folder || folder->get().empty())
+                    throw InvalidParameter("must be the name of a folder");
                 recipe.out = folder->get();
-            }
-            else if (!node->is_table())
-                errors.add(source,
-                           fmt::format("{}: unknown key; the keys before the first table are sekitei, seed, out", key));
+            } else if (!node->is_table())
+                errors.add(
+                    source,
+                    fmt::format(
+                        "{}: unknown key; the keys before the first table are sekitei, seed, out",
+                        key));
         } catch (const Error& error) {
             errors.add(node->source(), fmt::format("{}: {}", key, error.what()));
         }
@@ -416,16 +444,21 @@ Recipe parse_recipe(const std::string& text, const std::filesystem::path& file,
     }
     // By default a stage reads the one above it.
     for (std::size_t i = 1; i < drafts.size(); ++i)
-        if (!drafts[i].from_given && drafts[i].stage.process && drafts[i].stage.process->info().reads_scene)
+        if (!drafts[i].from_given && drafts[i].stage.process &&
+            drafts[i].stage.process->info().reads_scene)
             drafts[i].from = {drafts[i - 1].stage.name};
     for (const Draft& draft : drafts)
         if (draft.stage.process && !draft.stage.process->info().reads_scene && !draft.from.empty())
-            errors.add(draft.source, fmt::format("{}.from: the stage '{}' reads no other", draft.stage.name,
-                                                 draft.stage.process->info().name));
-    if (drafts.empty()) errors.add(file.string() + ":1:1", "the recipe has no stage, expected tables such as [lava]");
+            errors.add(draft.source,
+                       fmt::format("{}.from: the stage '{}' reads no other", draft.stage.name,
+                                   draft.stage.process->info().name));
+    if (drafts.empty())
+        errors.add(file.string() + ":1:1",
+                   "the recipe has no stage, expected tables such as [lava]");
 
     // Links and supplies can be judged only where every stage is known.
-    const bool known = std::all_of(drafts.begin(), drafts.end(), [](const Draft& d) { return d.stage.process != nullptr; });
+    const bool known = std::all_of(drafts.begin(), drafts.end(),
+                                   [](const Draft& d) { return d.stage.process != nullptr; });
     const std::vector<std::size_t> order = sorted(drafts, errors);
     if (known && order.size() == drafts.size()) check_supplies(drafts, order, errors);
     check_writes(drafts, errors);
@@ -433,7 +466,8 @@ Recipe parse_recipe(const std::string& text, const std::filesystem::path& file,
     std::map<std::string, std::size_t> position;
     for (const std::size_t i : order) {
         Draft& draft = drafts[i];
-        for (const std::string& parent : draft.from) draft.stage.from.push_back(position.at(parent));
+        for (const std::string& parent : draft.from)
+            draft.stage.from.push_back(position.at(parent));
         position[draft.stage.name] = recipe.stages.size();
         recipe.stages.push_back(std::move(draft.stage));
     }
@@ -452,8 +486,8 @@ void require_input_files(const Recipe& recipe, const std::vector<bool>& selected
             if (param.kind != Param::Kind::Path) continue;
             const std::string path = param.get().get<std::string>();
             if (path.empty() || std::filesystem::exists(Stage::resolve(context, path))) continue;
-            missing.push_back(fmt::format("{}: {}: {} = {}: no such file", stage.place, stage.name, param.name,
-                                          Stage::resolve(context, path).string()));
+            missing.push_back(fmt::format("{}: {}: {} = {}: no such file", stage.place, stage.name,
+                                          param.name, Stage::resolve(context, path).string()));
         }
     }
     if (!missing.empty()) throw InvalidInput(fmt::format("{}", fmt::join(missing, "\n")));
@@ -472,8 +506,9 @@ void apply_params_file(const std::filesystem::path& file, const ParamList& param
             std::vector<std::string> known;
             for (const Param& p : params) known.push_back(p.name);
             const std::string near = nearest_name(key, known);
-            errors.add(source, fmt::format("{}: unknown key{}", key,
-                                                   near.empty() ? "" : fmt::format(", did you mean '{}'?", near)));
+            errors.add(source,
+                       fmt::format("{}: unknown key{}", key,
+                                   near.empty() ? "" : fmt::format(", did you mean '{}'?", near)));
         } catch (const Error& error) {
             errors.add(node->source(), error.what());
         }
@@ -481,7 +516,8 @@ void apply_params_file(const std::filesystem::path& file, const ParamList& param
     errors.raise();
 }
 
-std::string recipe_from_history(const std::vector<HistoryEntry>& history, const std::string& output, bool every_value)
+std::string recipe_from_history(const std::vector<HistoryEntry>& history, const std::string& output,
+                                bool every_value)
 {
     std::string text = "sekitei = 1\n";
     std::map<std::string, int> used;
@@ -489,7 +525,8 @@ std::string recipe_from_history(const std::vector<HistoryEntry>& history, const 
         const HistoryEntry& entry = history[i];
         const auto stage = make_stage(entry.stage);
         const int repeat = ++used[entry.stage];
-        const std::string name = repeat == 1 ? entry.stage : fmt::format("{}_{}", entry.stage, repeat);
+        const std::string name =
+            repeat == 1 ? entry.stage : fmt::format("{}_{}", entry.stage, repeat);
         text += fmt::format("\n[{}]\n", name);
         if (repeat > 1) text += fmt::format("stage = \"{}\"\n", entry.stage);
         text += fmt::format("seed = {}\n", entry.seed);

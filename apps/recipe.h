@@ -17,7 +17,7 @@ struct RecipeStage {
     std::vector<std::size_t> from;   ///< indices of the stages it reads
     std::vector<std::string> write;  ///< file names inside the output folder
     std::uint64_t seed = 1;
-    std::string place;               ///< "cliff.toml:12:1" for messages
+    std::string place;  ///< "cliff.toml:12:1" for messages
 };
 
 /// A graph of stages, in an order in which each follows those it reads.
@@ -30,7 +30,8 @@ struct Recipe {
 
 /// Reads and checks a whole recipe: syntax, keys, types, ranges, graph, inputs, file names.
 /// @param overrides  "joint.spacing=30cm", "out=elsewhere", "seed=3"
-/// @throws InvalidParameter  all errors at once, one a line: `file:line:column: key: found, expected`
+/// @throws InvalidParameter  all errors at once, one a line: `file:line:column: key: found,
+/// expected`
 /// @throws InvalidInput      the recipe file cannot be read
 Recipe read_recipe(const std::filesystem::path& file, const std::vector<std::string>& overrides);
 
@@ -40,10 +41,12 @@ Recipe parse_recipe(const std::string& text, const std::filesystem::path& file,
 
 /// Looks for every file that stages of a recipe read, before the first of them runs.
 /// @param selected  which stages count, by index
-/// @throws InvalidInput  all that are missing, one a line: `file:line:column: stage: key = path: no such file`
+/// @throws InvalidInput  all that are missing, one a line: `file:line:column: stage: key = path: no
+/// such file`
 void require_input_files(const Recipe& recipe, const std::vector<bool>& selected);
 
-/// Sets the parameters of a stage from a TOML file of `key = value` lines (or a recipe's stage table).
+/// Sets the parameters of a stage from a TOML file of `key = value` lines (or a recipe's stage
+/// table).
 void apply_params_file(const std::filesystem::path& file, const ParamList& params);
 
 /// The recipe text that repeats a history and writes `output`.

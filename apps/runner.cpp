@@ -24,11 +24,13 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr int kCacheVersion = 1;
-constexpr std::size_t kKeptResults = 4;  // older results of a stage that stay for going back and forth
+constexpr std::size_t kKeptResults =
+    4;  // older results of a stage that stay for going back and forth
 
 double seconds_now()
 {
-    return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+    return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch())
+        .count();
 }
 
 /// A grid, point set or mesh that a stage can see: who made it, with which content.
@@ -38,10 +40,15 @@ struct Item {
 };
 using Items = std::map<std::string, Item>;
 
-
 Json domain_json(const Domain& d)
 {
-    return {d.dims.x, d.dims.y, d.dims.z, d.transform.origin.x, d.transform.origin.y, d.transform.origin.z, d.transform.voxel};
+    return {d.dims.x,
+            d.dims.y,
+            d.dims.z,
+            d.transform.origin.x,
+            d.transform.origin.y,
+            d.transform.origin.z,
+            d.transform.voxel};
 }
 
 Domain domain_from(const Json& j)
@@ -55,11 +62,15 @@ public:
     explicit FolderLock(const fs::path& folder)
     {
         file_ = ::open((folder / "lock").c_str(), O_CREAT | O_RDWR | O_CLOEXEC, 0666);
-        if (file_ < 0) throw IoError(fmt::format("cannot write into {}: {}", folder.string(), std::strerror(errno)));
+        if (file_ < 0)
+            throw IoError(
+                fmt::format("cannot write into {}: {}", folder.string(), std::strerror(errno)));
         if (::flock(file_, LOCK_EX | LOCK_NB) != 0) {
             ::close(file_);
-            throw IoError(fmt::format("{} is in use by another run; wait for it or choose another folder with "
-                                      "--set out=FOLDER", folder.parent_path().string()));
+            throw IoError(fmt::format(
+                "{} is in use by another run; wait for it or choose another folder with "
+                "--set out=FOLDER",
+                folder.parent_path().string()));
         }
     }
     ~FolderLock() { ::close(file_); }
@@ -97,7 +108,8 @@ public:
             if (!selected_[i]) continue;
             stages.push_back(options_.dry_run ? plan(i) : perform(i));
         }
-        Json summary = {{"recipe", recipe_.file.string()}, {"out", recipe_.out.string()}, {"stages", stages}};
+        Json summary = {
+            {"recipe", recipe_.file.string()}, {"out", recipe_.out.string()}, {"stages", stages}};
         if (!options_.dry_run) {
             write_manifest();
             sweep_cache();
@@ -134,8 +146,8 @@ private:
         if (unknown.empty()) return;
         std::vector<std::string> names;
         for (const RecipeStage& s : recipe_.stages) names.push_back(s.name);
-        throw InvalidParameter(fmt::format("--only {}: the recipe has no such stage, it has: {}", *unknown.begin(),
-                                           fmt::join(names, ", ")));
+        throw InvalidParameter(fmt::format("--only {}: the recipe has no such stage, it has: {}",
+                                           *unknown.begin(), fmt::join(names, ", ")));
     }
 
     /// Everything that can fail early fails here, before anything is computed.
@@ -151,11 +163,14 @@ private:
         refuse_foreign_manifest();
         for (std::size_t i = 0; i < recipe_.stages.size(); ++i)
             if (selected_[i])
-                for (const std::string& name : stage(i).write) refuse_foreign(recipe_.out / name, name);
+                for (const std::string& name : stage(i).write)
+                    refuse_foreign(recipe_.out / name, name);
 
         std::error_code error;
         fs::create_directories(cache_, error);
-        if (error) throw IoError(fmt::format("cannot make the folder {}: {}", recipe_.out.string(), error.message()));
+        if (error)
+            throw IoError(fmt::format("cannot make the folder {}: {}", recipe_.out.string(),
+                                      error.message()));
         lock_ = std::make_unique<FolderLock>(cache_);
         remove_stale_temporaries(cache_);
         remove_stale_temporaries(recipe_.out);
@@ -176,8 +191,10 @@ private:
         if (options_.force || !fs::exists(target)) return;
         const Json owned = state_.value("owned", Json::object());
         if (owned.contains(name) && (owned[name] == "" || owned[name] == file_hash(target))) return;
-        throw InvalidParameter(fmt::format("{} exists and was not made by an earlier run here, or was changed since; "
-                                           "move it away or allow replacing with --force", target.string()));
+        throw InvalidParameter(
+            fmt::format("{} exists and was not made by an earlier run here, or was changed since; "
+                        "move it away or allow replacing with --force",
+                        target.string()));
     }
 
     void refuse_foreign_manifest() const
@@ -186,8 +203,10 @@ private:
         if (options_.force || !fs::exists(path)) return;
         const Json json = read_json(path);
         if (json.is_object() && json.contains("sekitei") && json.contains("outputs")) return;
-        throw InvalidParameter(fmt::format("{} exists and is no manifest of this program; move it away or allow replacing with --force",
-                                           path.string()));
+        throw InvalidParameter(
+            fmt::format("{} exists and is no manifest of this program; move it away or allow "
+                        "replacing with --force",
+                        path.string()));
     }
 
     static Json read_json(const fs::path& path)
@@ -209,9 +228,11 @@ private:
             for (const auto& [name, item] : visible_[parent]) {
                 const auto [old, is_new] = items.emplace(name, item);
                 if (is_new || old->second.hash == item.hash) continue;
-                throw InvalidParameter(fmt::format("{}: {}.from: both '{}' and '{}' bring a '{}', and they differ; "
-                                                   "read only one of them", stage(i).place, stage(i).name,
-                                                   stage(old->second.maker).name, stage(item.maker).name, name));
+                throw InvalidParameter(
+                    fmt::format("{}: {}.from: both '{}' and '{}' bring a '{}', and they differ; "
+                                "read only one of them",
+                                stage(i).place, stage(i).name, stage(old->second.maker).name,
+                                stage(item.maker).name, name));
             }
         return items;
     }
@@ -241,15 +262,18 @@ private:
         return entries;
     }
 
-    /// What the key of stage i is made of. Parameters that an ancestor's history sets (the lava's preset) count too.
+    /// What the key of stage i is made of. Parameters that an ancestor's history sets (the lava's
+    /// preset) count too.
     Json ingredients(std::size_t i, const Items& items) const
     {
         Json inputs = Json::object();
         for (const std::string& need : stage(i).process->needs())
-            if (const auto found = items.find(need); found != items.end()) inputs[need] = found->second.hash;
+            if (const auto found = items.find(need); found != items.end())
+                inputs[need] = found->second.hash;
         Json preset = nullptr;
         for (const std::size_t k : ancestors(i))
-            if (stage(k).process->info().name == "lava") preset = params_json(stage(k).process->params())["preset"];
+            if (stage(k).process->info().name == "lava")
+                preset = params_json(stage(k).process->params())["preset"];
         return {{"cache", kCacheVersion},
                 {"stage", stage(i).process->info().name},
                 {"version", stage(i).process->info().version},
@@ -270,7 +294,8 @@ private:
     }
     fs::path result_path(std::size_t i, const std::string& key) const
     {
-        return cache_ / fmt::format("{}-{}{}", stage(i).name, key.substr(0, 16), extension(stage(i).process->info().output));
+        return cache_ / fmt::format("{}-{}{}", stage(i).name, key.substr(0, 16),
+                                    extension(stage(i).process->info().output));
     }
 
     /// The record of a finished stage with this key, if its result file is whole.
@@ -285,8 +310,9 @@ private:
         }
         const fs::path result = result_path(i, key);
         std::error_code error;
-        if (!fs::exists(result) || fs::file_size(result, error) != record.json.value("bytes", std::uint64_t{0})
-            || file_hash(result) != record.json.value("file_hash", "")) {
+        if (!fs::exists(result) ||
+            fs::file_size(result, error) != record.json.value("bytes", std::uint64_t{0}) ||
+            file_hash(result) != record.json.value("file_hash", "")) {
             reason = "its kept result is missing or damaged";
             return {};
         }
@@ -299,16 +325,21 @@ private:
         const Json last_runs = state_.value("last", Json::object());
         if (!last_runs.contains(stage(i).name)) return "it has not run before";
         const Json& last = last_runs[stage(i).name];
-        if (last["stage"] != now["stage"] || last["version"] != now["version"]) return "the process changed";
+        if (last["stage"] != now["stage"] || last["version"] != now["version"])
+            return "the process changed";
         for (const auto& [name, value] : now["params"].items())
             if (!last["params"].contains(name) || last["params"][name] != value)
-                return fmt::format("{} changed from {} to {}", name,
-                                   last["params"].contains(name) ? last["params"][name].dump() : "nothing", value.dump());
+                return fmt::format(
+                    "{} changed from {} to {}", name,
+                    last["params"].contains(name) ? last["params"][name].dump() : "nothing",
+                    value.dump());
         if (last["seed"] != now["seed"]) return "the seed changed";
         for (const auto& [name, value] : now["files"].items())
-            if (!last["files"].contains(name) || last["files"][name] != value) return fmt::format("the file {} changed", name);
+            if (!last["files"].contains(name) || last["files"][name] != value)
+                return fmt::format("the file {} changed", name);
         for (const auto& [name, value] : now["inputs"].items())
-            if (!last["inputs"].contains(name) || last["inputs"][name] != value) return fmt::format("its input {} changed", name);
+            if (!last["inputs"].contains(name) || last["inputs"][name] != value)
+                return fmt::format("its input {} changed", name);
         if (last["preset"] != now["preset"]) return "the lava's preset changed";
         return "its kept result is gone";
     }
@@ -348,10 +379,10 @@ private:
             will_run_.insert(i);
             outlines_[i] = outline;
             Items items;
-            for (const std::size_t parent : stage(i).from) items.insert(visible_[parent].begin(), visible_[parent].end());
+            for (const std::size_t parent : stage(i).from)
+                items.insert(visible_[parent].begin(), visible_[parent].end());
             visible_[i] = std::move(items);
-        }
-        else {
+        } else {
             Items items = inherited(i);
             const Json now = ingredients(i, items);
             const Record record = find_record(i, key_of(now), reason);
@@ -359,18 +390,17 @@ private:
                 state = "cached";
                 reason = "nothing changed";
                 adopt(i, std::move(items), record);
-            }
-            else {
+            } else {
                 if (reason.empty()) reason = reason_to_run(i, now);
                 will_run_.insert(i);
                 outlines_[i] = outline;
                 visible_[i] = std::move(items);
             }
         }
-        log::info("{:<12} {:<7} {:<44} {:>16} voxels {:>9} memory {:>9} disk", stage(i).name, state, reason,
-                  count_text(need.voxels), bytes_text(need.memory), bytes_text(need.disk));
-        return {{"name", stage(i).name}, {"state", state}, {"reason", reason}, {"voxels", need.voxels},
-                {"memory", need.memory}, {"disk", need.disk}};
+        log::info("{:<12} {:<7} {:<44} {:>16} voxels {:>9} memory {:>9} disk", stage(i).name, state,
+                  reason, count_text(need.voxels), bytes_text(need.memory), bytes_text(need.disk));
+        return {{"name", stage(i).name}, {"state", state},        {"reason", reason},
+                {"voxels", need.voxels}, {"memory", need.memory}, {"disk", need.disk}};
     }
 
     // ---- running --------------------------------------------------------------------------
@@ -381,8 +411,9 @@ private:
         Items items = inherited(i);
         for (const std::string& need : stage(i).process->needs())
             if (!items.contains(need))
-                throw InvalidInput(fmt::format("{}: {} needs '{}', which the stages before it did not make", stage(i).place,
-                                               stage(i).name, need));
+                throw InvalidInput(
+                    fmt::format("{}: {} needs '{}', which the stages before it did not make",
+                                stage(i).place, stage(i).name, need));
         const Json now = ingredients(i, items);
         const std::string key = key_of(now);
         std::string reason;
@@ -392,31 +423,38 @@ private:
             reason = "nothing changed";
             adopt(i, std::move(items), record);
             log::info("{:<12} unchanged", stage(i).name);
-        }
-        else {
+        } else {
             if (reason.empty()) reason = reason_to_run(i, now);
             log::detail("{}: {}", stage(i).name, reason);
             record = compute(i, std::move(items), now, key, start);
-            log::info("{:<12} {:>8}  {}", stage(i).name, duration_text(seconds_now() - start), summary_text(record.json["summary"]));
+            log::info("{:<12} {:>8}  {}", stage(i).name, duration_text(seconds_now() - start),
+                      summary_text(record.json["summary"]));
         }
         state_["last"][stage(i).name] = now;
         for (const std::string& name : stage(i).write) write_output(i, name);
         release(i);
-        return {{"name", stage(i).name}, {"state", cached ? "cached" : "run"}, {"reason", reason},
-                {"seconds", seconds_now() - start}, {"summary", record.json["summary"]}};
+        return {{"name", stage(i).name},
+                {"state", cached ? "cached" : "run"},
+                {"reason", reason},
+                {"seconds", seconds_now() - start},
+                {"summary", record.json["summary"]}};
     }
 
     static std::string summary_text(const Json& summary)
     {
         std::vector<std::string> parts;
         for (const auto& [name, value] : summary.items()) {
-            if (value.is_number_float()) parts.push_back(fmt::format("{} {:.4g}", name, value.get<double>()));
-            else parts.push_back(fmt::format("{} {}", name, value.is_string() ? value.get<std::string>() : value.dump()));
+            if (value.is_number_float())
+                parts.push_back(fmt::format("{} {:.4g}", name, value.get<double>()));
+            else
+                parts.push_back(fmt::format(
+                    "{} {}", name, value.is_string() ? value.get<std::string>() : value.dump()));
         }
         return fmt::format("{}", fmt::join(parts, ", "));
     }
 
-    Record compute(std::size_t i, Items items, const Json& now, const std::string& key, double start)
+    Record compute(std::size_t i, Items items, const Json& now, const std::string& key,
+                   double start)
     {
         Stage& process = *stage(i).process;
         for (const std::string& name : process.info().makes) drop(name);
@@ -437,14 +475,14 @@ private:
         // Keep the result: the file first, the record that vouches for it last.
         const fs::path result = result_path(i, key);
         std::map<std::string, std::string> outputs;
-        if (process.info().output == OutputKind::Picture) write_png(result, process.picture);
+        if (process.info().output == OutputKind::Picture)
+            write_png(result, process.picture);
         else if (process.info().output == OutputKind::Mesh) {
             const TriMesh& mesh = scene_.meshes.at("rock");
             const std::string bytes = encode_mesh(mesh, ".ply");
             outputs["rock"] = hash_hex(bytes);
             write_file(result, bytes);
-        }
-        else {
+        } else {
             Scene part;
             part.domain = scene_.domain;
             part.heat_domain = scene_.heat_domain;
@@ -462,7 +500,8 @@ private:
         for (const auto& [name, hash] : outputs) in_memory_[name] = hash;
 
         double lava_voxels = outline.lava_voxels;
-        if (process.info().name == "lava") lava_voxels = static_cast<double>(scene_.ints("region").active_count());
+        if (process.info().name == "lava")
+            lava_voxels = static_cast<double>(scene_.ints("region").active_count());
         Record record{{{"key", key},
                        {"stage", process.info().name},
                        {"made_with", SEKITEI_VERSION},
@@ -509,14 +548,18 @@ private:
             ReadOptions read;
             read.only = {name};
             read.memory_limit = options_.memory_limit;
-            read.check_hashes = false;  // the file's own hash was compared when the record was found
+            read.check_hashes =
+                false;  // the file's own hash was compared when the record was found
             Scene part = read_vdb(result, read);
             move_item(name, part, scene_);
         }
         in_memory_[name] = item.hash;
     }
 
-    static TriMesh read_mesh_exactly(const fs::path& path) { return decode_ply(read_file(path, 1ull << 36), path.string()); }
+    static TriMesh read_mesh_exactly(const fs::path& path)
+    {
+        return decode_ply(read_file(path, 1ull << 36), path.string());
+    }
 
     /// Frees what no later stage or output file needs.
     void release(std::size_t i)
@@ -526,7 +569,8 @@ private:
         for (std::size_t k = i + 1; k < recipe_.stages.size(); ++k) {
             if (!selected_[k]) continue;
             for (const std::string& need : stage(k).process->needs()) wanted.insert(need);
-            for (const std::string& name : stage(k).write) whole_scene = whole_scene || fs::path(name).extension() == ".vdb";
+            for (const std::string& name : stage(k).write)
+                whole_scene = whole_scene || fs::path(name).extension() == ".vdb";
         }
         if (whole_scene) return;
         std::vector<std::string> names;
@@ -542,8 +586,8 @@ private:
         const fs::path target = recipe_.out / name;
         const std::string recipe_key = output_key(i, name);
         const Json old = state_.value("outputs", Json::object());
-        const bool fresh = old.contains(name) && old[name].value("key", "") == recipe_key && fs::exists(target)
-                           && file_hash(target) == old[name].value("hash", "");
+        const bool fresh = old.contains(name) && old[name].value("key", "") == recipe_key &&
+                           fs::exists(target) && file_hash(target) == old[name].value("hash", "");
         if (!fresh) {
             // Say that the name is ours before the file exists, so that a killed run can go on.
             state_["owned"][name] = "";
@@ -558,10 +602,12 @@ private:
 
     std::string output_key(std::size_t i, const std::string& name) const
     {
-        Json content = {{"name", name}, {"key", records_[i].json["key"]}, {"program", SEKITEI_VERSION}};
+        Json content = {
+            {"name", name}, {"key", records_[i].json["key"]}, {"program", SEKITEI_VERSION}};
         if (fs::path(name).extension() == ".vdb") {
             for (const auto& [item, where] : visible_[i]) content["items"][item] = where.hash;
-            for (const HistoryEntry& e : history(i)) content["history"].push_back({e.stage, e.params, e.seed, e.inputs});
+            for (const HistoryEntry& e : history(i))
+                content["history"].push_back({e.stage, e.params, e.seed, e.inputs});
         }
         return hash_hex(content.dump());
     }
@@ -572,8 +618,7 @@ private:
         const std::string suffix = target.extension().string();
         if (kind == OutputKind::Picture) {
             write_file(target, read_file(result_path(i, records_[i].json["key"])));
-        }
-        else if (suffix == ".vdb") {
+        } else if (suffix == ".vdb") {
             Scene whole;
             for (const auto& [name, item] : visible_[i])
                 if (stage(item.maker).process->info().output == OutputKind::Scene) load(name, item);
@@ -591,8 +636,7 @@ private:
                 throw;
             }
             give_back();
-        }
-        else {
+        } else {
             load("rock", visible_[i].at("rock"));
             write_mesh(target, scene_.meshes.at("rock"));
         }
@@ -601,22 +645,30 @@ private:
     void write_manifest()
     {
         Json outputs = Json::array();
-        for (const auto& [name, i] : written_) outputs.push_back(describe_output(recipe_.out / name, name, stage(i).name));
+        for (const auto& [name, i] : written_)
+            outputs.push_back(describe_output(recipe_.out / name, name, stage(i).name));
         Json stages = Json::array();
         for (std::size_t i = 0; i < recipe_.stages.size(); ++i)
             if (selected_[i])
-                stages.push_back({{"name", stage(i).name}, {"stage", stage(i).process->info().name}, {"seed", stage(i).seed},
-                                  {"key", records_[i].json["key"]}, {"summary", records_[i].json["summary"]}});
+                stages.push_back({{"name", stage(i).name},
+                                  {"stage", stage(i).process->info().name},
+                                  {"seed", stage(i).seed},
+                                  {"key", records_[i].json["key"]},
+                                  {"summary", records_[i].json["summary"]}});
         keep_unselected(outputs, stages);
         Json recipe_content = Json::array();
         for (const Json& s : stages) recipe_content.push_back(s["key"]);
-        manifest_ = {{"sekitei", SEKITEI_VERSION}, {"recipe_hash", hash_hex(recipe_content.dump())},
-                     {"seed", recipe_.seed},       {"stages", stages}, {"outputs", outputs}};
+        manifest_ = {{"sekitei", SEKITEI_VERSION},
+                     {"recipe_hash", hash_hex(recipe_content.dump())},
+                     {"seed", recipe_.seed},
+                     {"stages", stages},
+                     {"outputs", outputs}};
         write_file(recipe_.out / "manifest.json", manifest_.dump(2) + "\n");
         save_state();
     }
 
-    /// With --only, the manifest goes on listing what earlier runs made of the other stages, if it is still there.
+    /// With --only, the manifest goes on listing what earlier runs made of the other stages, if it
+    /// is still there.
     void keep_unselected(Json& outputs, Json& stages) const
     {
         const fs::path path = recipe_.out / "manifest.json";
@@ -630,7 +682,8 @@ private:
             if (unselected.contains(entry.value("name", ""))) stages.push_back(entry);
         for (const Json& entry : old.value("outputs", Json::array())) {
             const fs::path file = recipe_.out / entry.value("path", "");
-            if (unselected.contains(entry.value("stage", "")) && fs::is_regular_file(file) && file_hash(file) == entry.value("hash", ""))
+            if (unselected.contains(entry.value("stage", "")) && fs::is_regular_file(file) &&
+                file_hash(file) == entry.value("hash", ""))
                 outputs.push_back(entry);
         }
     }
@@ -640,12 +693,15 @@ private:
     {
         std::set<std::string> current;
         for (std::size_t i = 0; i < recipe_.stages.size(); ++i)
-            if (records_[i].exists()) current.insert(record_path(i, records_[i].json["key"]).filename().string());
+            if (records_[i].exists())
+                current.insert(record_path(i, records_[i].json["key"]).filename().string());
         std::map<std::string, std::vector<std::pair<fs::file_time_type, fs::path>>> older;
         for (const auto& entry : fs::directory_iterator(cache_)) {
             const std::string name = entry.path().filename().string();
             const std::size_t dash = name.rfind('-');
-            if (entry.path().extension() != ".json" || dash == std::string::npos || current.contains(name)) continue;
+            if (entry.path().extension() != ".json" || dash == std::string::npos ||
+                current.contains(name))
+                continue;
             std::error_code error;
             older[name.substr(0, dash)].emplace_back(entry.last_write_time(error), entry.path());
         }
@@ -677,7 +733,10 @@ private:
 
 }  // namespace
 
-Json run_recipe(const Recipe& recipe, const RunOptions& options) { return Runner(recipe, options).run(); }
+Json run_recipe(const Recipe& recipe, const RunOptions& options)
+{
+    return Runner(recipe, options).run();
+}
 
 Json describe_output(const fs::path& path, const std::string& name, const std::string& stage)
 {
@@ -689,14 +748,18 @@ Json describe_output(const fs::path& path, const std::string& name, const std::s
     if (suffix == ".vdb") {
         entry["kind"] = "scene";
         for (const VdbGridInfo& grid : inspect_vdb(path).grids) {
-            Json g = {{"name", grid.name}, {"type", grid.type}, {"unit", grid.unit}, {"class", grid.grid_class},
-                      {"active_voxels", grid.active_voxels}, {"voxel_m", grid.voxel}};
+            Json g = {{"name", grid.name},
+                      {"type", grid.type},
+                      {"unit", grid.unit},
+                      {"class", grid.grid_class},
+                      {"active_voxels", grid.active_voxels},
+                      {"voxel_m", grid.voxel}};
             if (grid.active_voxels > 0)
-                g["bounds_m"] = {{grid.lower.x, grid.lower.y, grid.lower.z}, {grid.upper.x, grid.upper.y, grid.upper.z}};
+                g["bounds_m"] = {{grid.lower.x, grid.lower.y, grid.lower.z},
+                                 {grid.upper.x, grid.upper.y, grid.upper.z}};
             entry["grids"].push_back(std::move(g));
         }
-    }
-    else if (suffix == ".png")
+    } else if (suffix == ".png")
         entry["kind"] = "picture";
     else {
         entry["kind"] = "mesh";
@@ -704,7 +767,9 @@ Json describe_output(const fs::path& path, const std::string& name, const std::s
         entry["up"] = suffix == ".glb" ? "y" : "z";
         if (suffix == ".ply") {
             const Bounds b = decode_ply(read_file(path, 1ull << 36), name).bounds();
-            if (!b.empty()) entry["bounds_m"] = {{b.lower.x, b.lower.y, b.lower.z}, {b.upper.x, b.upper.y, b.upper.z}};
+            if (!b.empty())
+                entry["bounds_m"] = {{b.lower.x, b.lower.y, b.lower.z},
+                                     {b.upper.x, b.upper.y, b.upper.z}};
         }
     }
     return entry;
@@ -719,15 +784,19 @@ std::vector<std::string> verify_manifest(const fs::path& manifest)
         throw InvalidInput(fmt::format("{}: not a manifest: {}", manifest.string(), error.what()));
     }
     if (!json.is_object() || !json.contains("outputs") || !json["outputs"].is_array())
-        throw InvalidInput(fmt::format("{}: not a manifest, it has no list `outputs`", manifest.string()));
+        throw InvalidInput(
+            fmt::format("{}: not a manifest, it has no list `outputs`", manifest.string()));
     std::vector<std::string> wrong;
     for (const Json& entry : json["outputs"]) {
         if (!entry.contains("path") || !entry["path"].is_string() || !entry.contains("hash"))
-            throw InvalidInput(fmt::format("{}: an output without path or hash", manifest.string()));
+            throw InvalidInput(
+                fmt::format("{}: an output without path or hash", manifest.string()));
         const std::string name = entry["path"];
         const fs::path path = manifest.parent_path() / name;
-        if (!fs::exists(path)) wrong.push_back(name + " (missing)");
-        else if (file_hash(path) != entry["hash"]) wrong.push_back(name);
+        if (!fs::exists(path))
+            wrong.push_back(name + " (missing)");
+        else if (file_hash(path) != entry["hash"])
+            wrong.push_back(name);
     }
     return wrong;
 }

@@ -12,7 +12,8 @@ namespace sekitei::apps {
 namespace {
 
 using Factory = std::unique_ptr<Stage> (*)();
-constexpr Factory kFactories[] = {make_lava, make_cool, make_joint, make_weather, make_mesh, make_render};
+constexpr Factory kFactories[] = {make_lava,    make_cool, make_joint,
+                                  make_weather, make_mesh, make_render};
 
 }  // namespace
 
@@ -33,9 +34,9 @@ std::unique_ptr<Stage> make_stage(const std::string& name)
     std::vector<std::string> names;
     for (const StageInfo& info : stage_infos()) names.push_back(info.name);
     const std::string near = nearest_name(name, names);
-    throw InvalidParameter(fmt::format("there is no stage '{}', expected one of: {}{}", name,
-                                       fmt::join(names, ", "),
-                                       near.empty() ? "" : fmt::format(" (did you mean '{}'?)", near)));
+    throw InvalidParameter(
+        fmt::format("there is no stage '{}', expected one of: {}{}", name, fmt::join(names, ", "),
+                    near.empty() ? "" : fmt::format(" (did you mean '{}'?)", near)));
 }
 
 const StageInfo& stage_info(const std::string& name)
@@ -67,26 +68,33 @@ HistoryEntry history_of(Stage& stage, const StageContext& context)
 void log_mesh_report(const std::filesystem::path& file, const MeshReadReport& report)
 {
     for (const std::string& warning : report.warnings) log::warning("{}", warning);
-    if (report.dropped_zero_area > 0) log::warning("{}: dropped {} triangles without area", file.string(), report.dropped_zero_area);
+    if (report.dropped_zero_area > 0)
+        log::warning("{}: dropped {} triangles without area", file.string(),
+                     report.dropped_zero_area);
     if (report.flipped_triangles > 0)
-        log::warning("{}: turned {} triangles so that all face outwards", file.string(), report.flipped_triangles);
-    if (report.merged_vertices > 0) log::detail("{}: joined {} equal vertices", file.string(), report.merged_vertices);
-    if (report.split_polygons > 0) log::detail("{}: split {} polygons into triangles", file.string(), report.split_polygons);
+        log::warning("{}: turned {} triangles so that all face outwards", file.string(),
+                     report.flipped_triangles);
+    if (report.merged_vertices > 0)
+        log::detail("{}: joined {} equal vertices", file.string(), report.merged_vertices);
+    if (report.split_polygons > 0)
+        log::detail("{}: split {} polygons into triangles", file.string(), report.split_polygons);
 }
 
 InvalidInput named_after(const std::string& file, const InvalidInput& error)
 {
     const std::string what = error.what();
-    if (file.empty() || error.code() != ExitCode::BadInput || what.find(file) != std::string::npos) return error;
+    if (file.empty() || error.code() != ExitCode::BadInput || what.find(file) != std::string::npos)
+        return error;
     return InvalidInput(file + ": " + what, error.code());
 }
 
 void check_memory(const std::string& who, double bytes, double limit)
 {
     if (limit > 0 && bytes > limit)
-        throw LimitExceeded(fmt::format("{}: needs about {} of memory, the limit is {}; raise it with "
-                                        "--memory or make the voxels larger",
-                                        who, bytes_text(bytes), bytes_text(limit)));
+        throw LimitExceeded(
+            fmt::format("{}: needs about {} of memory, the limit is {}; raise it with "
+                        "--memory or make the voxels larger",
+                        who, bytes_text(bytes), bytes_text(limit)));
 }
 
 }  // namespace sekitei::apps

@@ -23,9 +23,9 @@ struct StageInfo {
     std::string version;  ///< changes when results change; part of every cache key
     std::string summary;
     OutputKind output = OutputKind::Scene;
-    bool reads_scene = true;             ///< false: makes a scene from nothing
-    std::vector<std::string> needs;      ///< grids, points or meshes it cannot do without
-    std::vector<std::string> makes;      ///< grids, points or meshes it may put
+    bool reads_scene = true;         ///< false: makes a scene from nothing
+    std::vector<std::string> needs;  ///< grids, points or meshes it cannot do without
+    std::vector<std::string> makes;  ///< grids, points or meshes it may put
 };
 
 /// What a stage would need, found before anything is allocated.
@@ -68,7 +68,8 @@ public:
     Image8 picture;
 
     /// Absolute form of a path parameter.
-    static std::filesystem::path resolve(const StageContext& context, const std::filesystem::path& path)
+    static std::filesystem::path resolve(const StageContext& context,
+                                         const std::filesystem::path& path)
     {
         return path.empty() || path.is_absolute() ? path : context.folder / path;
     }

@@ -17,6 +17,6 @@ double pow(double base, double exponent);  ///< NaN for base < 0
 double sin(double x);                      ///< |x| < 1e6; NaN from 2^52
 double cos(double x);                      ///< |x| < 1e6; NaN from 2^52
 double atan2(double y, double x);          ///< in [-pi, pi]; 0 at the origin
-double acos(double x);  ///< x clamped to [-1, 1]
+double acos(double x);                     ///< x clamped to [-1, 1]
 
 }  // namespace sekitei::math

@@ -8,16 +8,19 @@
 
 namespace sekitei::apps {
 
-int command_check(const std::vector<std::string>& recipes, const std::vector<std::string>& overrides, const Common& common)
+int command_check(const std::vector<std::string>& recipes,
+                  const std::vector<std::string>& overrides, const Common& common)
 {
     std::vector<std::string> errors;
-    ExitCode code = ExitCode::BadInput;  // of missing files alone; a mistake in a recipe outweighs them, as in `run`
+    ExitCode code = ExitCode::BadInput;  // of missing files alone; a mistake in a recipe outweighs
+                                         // them, as in `run`
     Json report = Json::array();
     for (const std::string& file : recipes) {
         try {
             const Recipe recipe = read_recipe(file, overrides);
             require_input_files(recipe, std::vector<bool>(recipe.stages.size(), true));
-            report.push_back({{"recipe", file}, {"stages", recipe.stages.size()}, {"errors", Json::array()}});
+            report.push_back(
+                {{"recipe", file}, {"stages", recipe.stages.size()}, {"errors", Json::array()}});
             log::info("{}: good, {} stages", file, recipe.stages.size());
         } catch (const InvalidInput& error) {
             if (error.code() == ExitCode::Usage) code = ExitCode::Usage;

@@ -11,8 +11,11 @@ int command_replay(const std::string& file, bool every_value)
 {
     const VdbFileInfo info = inspect_vdb(file);
     if (info.history.empty())
-        throw InvalidInput(fmt::format("{}: carries no history (sekitei:history); only files of this program can be replayed", file));
-    print(recipe_from_history(info.history, std::filesystem::path(file).filename().string(), every_value));
+        throw InvalidInput(fmt::format(
+            "{}: carries no history (sekitei:history); only files of this program can be replayed",
+            file));
+    print(recipe_from_history(info.history, std::filesystem::path(file).filename().string(),
+                              every_value));
     return 0;
 }
 

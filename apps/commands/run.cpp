@@ -20,7 +20,8 @@ int command_run(const std::string& file, const std::vector<std::string>& overrid
     options.fix_nan = common.fix_nan;
     const Json summary = run_recipe(recipe, options);
     if (!dry_run) {
-        const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+        const double seconds =
+            std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
         for (const Json& output : summary["outputs"])
             log::info("wrote {}", (recipe.out / output["path"].get<std::string>()).string());
         log::info("wrote {} ({})", (recipe.out / "manifest.json").string(), duration_text(seconds));

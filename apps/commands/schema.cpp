@@ -12,11 +12,16 @@ Json stage_schema(const StageInfo& info)
     const auto stage = make_stage(info.name);
     Json properties = params_schema(stage->params());
     properties["stage"] = {{"const", info.name}};
-    properties["from"] = {{"description", "stages it reads; default: the one above"}, {"type", {"string", "array"}}};
-    properties["write"] = {{"description", "files to write into the output folder"}, {"type", {"string", "array"}}};
-    properties["seed"] = {{"description", "of this stage; default: the recipe's"}, {"type", "integer"}, {"minimum", 0}};
-    return {{"title", info.name}, {"description", info.summary}, {"type", "object"}, {"properties", properties},
-            {"additionalProperties", false}, {"needs", info.needs}, {"makes", info.makes}};
+    properties["from"] = {{"description", "stages it reads; default: the one above"},
+                          {"type", {"string", "array"}}};
+    properties["write"] = {{"description", "files to write into the output folder"},
+                           {"type", {"string", "array"}}};
+    properties["seed"] = {{"description", "of this stage; default: the recipe's"},
+                          {"type", "integer"},
+                          {"minimum", 0}};
+    return {{"title", info.name},       {"description", info.summary},   {"type", "object"},
+            {"properties", properties}, {"additionalProperties", false}, {"needs", info.needs},
+            {"makes", info.makes}};
 }
 
 std::string reference(const StageInfo& info)
@@ -29,7 +34,8 @@ std::string reference(const StageInfo& info)
     const auto stage = make_stage(info.name);
     for (const Param& p : stage->params()) {
         std::string type = p.type_text();
-        for (std::size_t at = 0; (at = type.find('|', at)) != std::string::npos; at += 2) type.insert(at, "\\");
+        for (std::size_t at = 0; (at = type.find('|', at)) != std::string::npos; at += 2)
+            type.insert(at, "\\");
         text += fmt::format("| `{}` | {} | {} | {} |\n", p.name, p.value_text(), type, p.help);
     }
     return text + "\n";
@@ -42,8 +48,10 @@ int command_schema(const std::string& only, bool markdown)
     std::vector<StageInfo> infos = stage_infos();
     if (!only.empty()) infos = {stage_info(only)};
     if (markdown) {
-        std::string text = "# Reference\n\nEvery stage with its parameters: recipe keys, and with `--` and hyphens the options of the\n"
-                           "command of the same name. Made by `sekitei schema --markdown`.\n\n";
+        std::string text =
+            "# Reference\n\nEvery stage with its parameters: recipe keys, and with `--` and "
+            "hyphens the options of the\n"
+            "command of the same name. Made by `sekitei schema --markdown`.\n\n";
         for (const StageInfo& info : infos) text += reference(info);
         text.pop_back();
         print(text);

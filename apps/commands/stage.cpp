@@ -1,3 +1,5 @@
+#include "apps/stage.h"
+
 #include <unistd.h>
 
 #include <algorithm>
@@ -8,7 +10,6 @@
 #include "apps/console.h"
 #include "apps/recipe.h"
 #include "apps/runner.h"
-#include "apps/stage.h"
 #include "core/error.h"
 #include "core/file_output.h"
 #include "core/log.h"
@@ -29,7 +30,10 @@ bool is_mesh_name(const std::string& name)
 }
 
 /// The mesh that goes beside a scene file of the same name.
-fs::path mesh_beside(const std::string& scene) { return fs::path(scene).replace_extension(".ply"); }
+fs::path mesh_beside(const std::string& scene)
+{
+    return fs::path(scene).replace_extension(".ply");
+}
 
 /// Every file that the outputs of the command line stand for.
 std::vector<fs::path> targets_of(const StageInfo& info, const Common& common)
@@ -37,7 +41,8 @@ std::vector<fs::path> targets_of(const StageInfo& info, const Common& common)
     std::vector<fs::path> targets;
     for (const std::string& name : common.output) {
         targets.emplace_back(name);
-        if (info.output == OutputKind::Mesh && name != "-" && !is_mesh_name(name)) targets.push_back(mesh_beside(name));
+        if (info.output == OutputKind::Mesh && name != "-" && !is_mesh_name(name))
+            targets.push_back(mesh_beside(name));
     }
     return targets;
 }
@@ -46,23 +51,26 @@ std::vector<fs::path> targets_of(const StageInfo& info, const Common& common)
 void check_outputs(const StageInfo& info, const Common& common)
 {
     if (common.output.empty())
-        throw InvalidParameter(fmt::format("{}: say where the result goes with -o FILE (or -o - for standard output)", info.name));
+        throw InvalidParameter(fmt::format(
+            "{}: say where the result goes with -o FILE (or -o - for standard output)", info.name));
     for (const std::string& name : common.output) {
         if (name == "-") {
             if (common.json) throw InvalidParameter("--json and -o - both want standard output");
             if (info.output != OutputKind::Picture && ::isatty(STDOUT_FILENO))
-                throw InvalidParameter("-o - writes binary data: pipe it into another command or a file");
+                throw InvalidParameter(
+                    "-o - writes binary data: pipe it into another command or a file");
             continue;
         }
         const std::string suffix = fs::path(name).extension().string();
         const bool fits = info.output == OutputKind::Picture ? suffix == ".png"
-                          : info.output == OutputKind::Mesh  ? is_mesh_name(name) || suffix == ".vdb"
-                                                             : suffix == ".vdb";
+                          : info.output == OutputKind::Mesh ? is_mesh_name(name) || suffix == ".vdb"
+                                                            : suffix == ".vdb";
         if (!fits)
             throw InvalidParameter(fmt::format("-o {}: `{}` writes {}", name, info.name,
                                                info.output == OutputKind::Picture ? ".png"
-                                               : info.output == OutputKind::Mesh ? ".ply, .obj, .stl, .off, .glb or .vdb"
-                                                                                 : ".vdb"));
+                                               : info.output == OutputKind::Mesh
+                                                   ? ".ply, .obj, .stl, .off, .glb or .vdb"
+                                                   : ".vdb"));
     }
     std::set<fs::path> seen;
     for (const fs::path& target : targets_of(info, common)) {
@@ -71,7 +79,8 @@ void check_outputs(const StageInfo& info, const Common& common)
         if (target == "-") continue;
         check_target(target);
         if (!common.force && fs::exists(target))
-            throw InvalidParameter(fmt::format("{} exists; replace it with --force", target.string()));
+            throw InvalidParameter(
+                fmt::format("{} exists; replace it with --force", target.string()));
     }
 }
 
@@ -81,9 +90,9 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common)
     ReadOptions options;
     options.fix_nan = common.fix_nan;
     options.memory_limit = common.memory_limit;
-    const bool passed_on = std::any_of(common.output.begin(), common.output.end(), [](const std::string& target) {
-        return fs::path(target).extension() == ".vdb";
-    });
+    const bool passed_on = std::any_of(
+        common.output.begin(), common.output.end(),
+        [](const std::string& target) { return fs::path(target).extension() == ".vdb"; });
     if (stage.info().output != OutputKind::Scene && !passed_on) {
         // Nothing is passed on, so only what is needed is loaded.
         for (const std::string& need : stage.needs()) options.only.insert(need);
@@ -91,12 +100,15 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common)
     }
     if (stage.info().output == OutputKind::Mesh && !options.only.empty()) {
         // Attributes come from what is there; a foreign volume has only its own grid.
-        if (name == "-") options.only.clear();
+        if (name == "-")
+            options.only.clear();
         else if (!is_mesh_name(name)) {
             std::set<std::string> present;
             for (const VdbGridInfo& grid : inspect_vdb(name).grids) present.insert(grid.name);
             const std::string surface = stage.needs().front();
-            std::erase_if(options.only, [&](const std::string& n) { return n != surface && !present.contains(n); });
+            std::erase_if(options.only, [&](const std::string& n) {
+                return n != surface && !present.contains(n);
+            });
         }
     }
     auto as_mesh = [&](TriMesh mesh) {
@@ -109,19 +121,24 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common)
         std::size_t got = 0;
         while (got < 3) {
             const ssize_t n = ::read(STDIN_FILENO, start.data() + got, 3 - got);
-            if (n <= 0) throw InvalidInput("standard input is empty; expected a scene from another command");
+            if (n <= 0)
+                throw InvalidInput(
+                    "standard input is empty; expected a scene from another command");
             got += static_cast<std::size_t>(n);
         }
         if (start != "ply") return read_vdb_stream(STDIN_FILENO, options, start);
         std::string bytes = start;
         char block[1 << 16];
-        for (ssize_t n; (n = ::read(STDIN_FILENO, block, sizeof block)) > 0;) bytes.append(block, static_cast<std::size_t>(n));
+        for (ssize_t n; (n = ::read(STDIN_FILENO, block, sizeof block)) > 0;)
+            bytes.append(block, static_cast<std::size_t>(n));
         return as_mesh(decode_ply(bytes, "standard input"));
     }
     if (is_mesh_name(name)) {
         if (stage.info().output != OutputKind::Picture)
-            throw InvalidInput(fmt::format("{}: `{}` reads scenes (.vdb); make one with `sekitei lava --preset mesh --mesh {}`",
-                                           name, stage.info().name, name));
+            throw InvalidInput(
+                fmt::format("{}: `{}` reads scenes (.vdb); make one with `sekitei lava --preset "
+                            "mesh --mesh {}`",
+                            name, stage.info().name, name));
         MeshReadReport report;
         TriMesh mesh = read_mesh(name, &report);
         log_mesh_report(name, report);
@@ -146,7 +163,8 @@ void write_to_stdout(const std::string& bytes)
 {
     for (std::size_t done = 0; done < bytes.size();) {
         const ssize_t n = ::write(STDOUT_FILENO, bytes.data() + done, bytes.size() - done);
-        if (n <= 0) throw IoError(fmt::format("cannot write to standard output: {}", std::strerror(errno)));
+        if (n <= 0)
+            throw IoError(fmt::format("cannot write to standard output: {}", std::strerror(errno)));
         done += static_cast<std::size_t>(n);
     }
 }
@@ -155,8 +173,10 @@ void write_result(Stage& stage, const Scene& scene, const std::string& name)
 {
     switch (stage.info().output) {
         case OutputKind::Picture:
-            if (name == "-") write_to_stdout(encode_png(stage.picture));
-            else write_png(name, stage.picture);
+            if (name == "-")
+                write_to_stdout(encode_png(stage.picture));
+            else
+                write_png(name, stage.picture);
             return;
         case OutputKind::Mesh:
             if (name == "-") return write_to_stdout(encode_mesh(scene.meshes.at("rock"), ".ply"));
@@ -165,15 +185,17 @@ void write_result(Stage& stage, const Scene& scene, const std::string& name)
             write_vdb(name, scene);
             return;
         case OutputKind::Scene:
-            if (name == "-") write_vdb_stream(STDOUT_FILENO, scene);
-            else write_vdb(name, scene);
+            if (name == "-")
+                write_vdb_stream(STDOUT_FILENO, scene);
+            else
+                write_vdb(name, scene);
     }
 }
 
 }  // namespace
 
-int command_stage(const std::string& name, const std::vector<std::string>& inputs, const Words& words,
-                  const Common& common)
+int command_stage(const std::string& name, const std::vector<std::string>& inputs,
+                  const Words& words, const Common& common)
 {
     const auto stage = make_stage(name);
     const ParamList params = stage->params();
@@ -182,15 +204,20 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
         try {
             find_param(params, param)->set_text(word);
         } catch (const InvalidParameter& error) {
-            throw InvalidParameter(fmt::format("{} --{}: {}", name, option_name(param), error.what()));
+            throw InvalidParameter(
+                fmt::format("{} --{}: {}", name, option_name(param), error.what()));
         }
     }
     stage->validate();
     if (inputs.empty() && stage->info().reads_scene)
-        throw InvalidParameter(fmt::format("{}: which scene? give a .vdb file, or - for standard input", name));
+        throw InvalidParameter(
+            fmt::format("{}: which scene? give a .vdb file, or - for standard input", name));
     if (!inputs.empty() && !stage->info().reads_scene)
-        throw InvalidParameter(fmt::format("{}: reads no scene, but '{}' was given", name, inputs.front()));
-    if (inputs.size() > 1) throw InvalidParameter(fmt::format("{}: reads one scene, but '{}' was given as well", name, inputs[1]));
+        throw InvalidParameter(
+            fmt::format("{}: reads no scene, but '{}' was given", name, inputs.front()));
+    if (inputs.size() > 1)
+        throw InvalidParameter(
+            fmt::format("{}: reads one scene, but '{}' was given as well", name, inputs[1]));
     check_outputs(stage->info(), common);
 
     StageContext context;
@@ -202,10 +229,13 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
     Scene scene;
     if (!inputs.empty()) scene = read_input(*stage, inputs.front(), common);
     for (const fs::path& target : targets_of(stage->info(), common))
-        if (target != "-") remove_stale_temporaries(target.has_parent_path() ? target.parent_path() : ".");
+        if (target != "-")
+            remove_stale_temporaries(target.has_parent_path() ? target.parent_path() : ".");
     const HistoryEntry entry = history_of(*stage, context);
-    for (const std::string& made : stage->info().makes) {  // replaced, or gone if not made this time
-        if (stage->info().output != OutputKind::Scene) continue;  // a grid called like the mesh is something else
+    for (const std::string& made :
+         stage->info().makes) {  // replaced, or gone if not made this time
+        if (stage->info().output != OutputKind::Scene)
+            continue;  // a grid called like the mesh is something else
         scene.grids.erase(made);
         scene.points.erase(made);
     }
@@ -226,7 +256,13 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
         if (target != "-") outputs.push_back(describe_output(target, target, name));
     }
     if (common.json)
-        print(Json{{"stage", name}, {"seed", common.seed}, {"params", params_json(params)}, {"summary", summary}, {"outputs", outputs}}.dump(2) + "\n");
+        print(Json{{"stage", name},
+                   {"seed", common.seed},
+                   {"params", params_json(params)},
+                   {"summary", summary},
+                   {"outputs", outputs}}
+                  .dump(2) +
+              "\n");
     return 0;
 }
 

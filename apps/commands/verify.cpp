@@ -17,17 +17,19 @@ int command_verify(const std::vector<std::string>& files, const Common& common)
         std::vector<std::string> found;
         Json entry = {{"file", file}};
         if (std::filesystem::path(file).extension() == ".json") {
-            for (const std::string& name : verify_manifest(file)) found.push_back(fmt::format("{}: {}", file, name));
-        }
-        else if (!std::filesystem::exists(file))
+            for (const std::string& name : verify_manifest(file))
+                found.push_back(fmt::format("{}: {}", file, name));
+        } else if (!std::filesystem::exists(file))
             throw InvalidInput(fmt::format("{}: no such file", file));
         else {
             try {
                 const VerifyResult result = verify_vdb(file);
                 for (const std::string& name : result.damaged)
-                    found.push_back(fmt::format("{}: grid '{}' does not have the recorded hash", file, name));
+                    found.push_back(
+                        fmt::format("{}: grid '{}' does not have the recorded hash", file, name));
                 for (const std::string& name : result.without_hash)
-                    log::warning("{}: grid '{}' carries no hash and cannot be verified", file, name);
+                    log::warning("{}: grid '{}' carries no hash and cannot be verified", file,
+                                 name);
                 entry["good"] = result.good;
                 entry["without_hash"] = result.without_hash;
             } catch (const InvalidInput& error) {

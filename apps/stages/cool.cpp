@@ -26,13 +26,14 @@ class CoolStage : public Stage {
 public:
     const StageInfo& info() const override
     {
-        static const StageInfo kInfo{"cool",
-                                     "1",
-                                     "cool the lava: temperature and its gradient",
-                                     OutputKind::Scene,
-                                     true,
-                                     {"region_coarse"},
-                                     {"temperature", "temperature_gradient", "temperature_gradient_mag"}};
+        static const StageInfo kInfo{
+            "cool",
+            "1",
+            "cool the lava: temperature and its gradient",
+            OutputKind::Scene,
+            true,
+            {"region_coarse"},
+            {"temperature", "temperature_gradient", "temperature_gradient_mag"}};
         return kInfo;
     }
 
@@ -42,8 +43,8 @@ public:
     Need estimate(SceneOutline& outline, const StageContext&) override
     {
         const Coord d = outline.heat_domain.dims;
-        const double cells = d.x > 0 ? outline.heat_domain.voxel_count()
-                                     : outline.domain.voxel_count() / 512;
+        const double cells =
+            d.x > 0 ? outline.heat_domain.voxel_count() : outline.domain.voxel_count() / 512;
         return {cells, cells * 60, cells * 20};
     }
 
@@ -51,16 +52,21 @@ public:
     {
         const IntGrid& region = scene.ints("region_coarse");
         const lava::PresetDefaults defaults = recommended(scene);
-        const cooling::Inputs inputs{region, scene.heat_domain, defaults.heat_steps, defaults.plateau_share};
+        const cooling::Inputs inputs{region, scene.heat_domain, defaults.heat_steps,
+                                     defaults.plateau_share};
         check_memory("cool", scene.heat_domain.voxel_count() * 60, context.memory_limit);
 
         cooling::Checkpoint checkpoint;
         if (!context.checkpoint.empty()) {
-            checkpoint.save = [&](const std::string& bytes) { write_file(context.checkpoint, bytes); };
+            checkpoint.save = [&](const std::string& bytes) {
+                write_file(context.checkpoint, bytes);
+            };
             if (std::filesystem::exists(context.checkpoint)) {
                 checkpoint.resume = read_file(context.checkpoint);
                 if (checkpoint.resume.empty())
-                    throw InvalidInput(context.checkpoint.string() + ": empty, expected a checkpoint of cool: remove it to begin again");
+                    throw InvalidInput(
+                        context.checkpoint.string() +
+                        ": empty, expected a checkpoint of cool: remove it to begin again");
             }
         }
         cooling::Result result = [&] {
@@ -69,7 +75,8 @@ public:
             } catch (const InvalidInput& error) {
                 // The solver knows the checkpoint's bytes, not where they came from.
                 const std::string_view what = error.what();
-                if (checkpoint.resume.empty() || what.find("checkpoint") == std::string_view::npos) throw;
+                if (checkpoint.resume.empty() || what.find("checkpoint") == std::string_view::npos)
+                    throw;
                 throw InvalidInput(context.checkpoint.string() + ": " + error.what(), error.code());
             }
         }();
@@ -78,7 +85,8 @@ public:
             std::filesystem::remove(context.checkpoint, ignored);
         }
         scene.put("temperature", std::move(result.temperature), "K", "cool");
-        scene.put("temperature_gradient", std::move(result.gradient), "", "cool", "covariant normalize");
+        scene.put("temperature_gradient", std::move(result.gradient), "", "cool",
+                  "covariant normalize");
         scene.put("temperature_gradient_mag", std::move(result.gradient_magnitude), "K", "cool");
         return {{"steps", result.steps}, {"last_change_K", result.last_change}};
     }
@@ -89,6 +97,9 @@ private:
 
 }  // namespace
 
-std::unique_ptr<Stage> make_cool() { return std::make_unique<CoolStage>(); }
+std::unique_ptr<Stage> make_cool()
+{
+    return std::make_unique<CoolStage>();
+}
 
 }  // namespace sekitei::apps

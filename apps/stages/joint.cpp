@@ -39,13 +39,15 @@ std::vector<Vec3d> read_points_csv(const std::filesystem::path& path)
             while (at < end && (*at == ' ' || *at == ',' || *at == '\t')) ++at;
             const auto [next, error] = std::from_chars(at, end, p[axis]);
             if (error != std::errc{} || !std::isfinite(p[axis]))
-                throw InvalidInput(fmt::format("{}:{}: '{}' is not a point; expected three numbers x,y,z [m]",
-                                               path.string(), number, line.substr(0, 60)));
+                throw InvalidInput(
+                    fmt::format("{}:{}: '{}' is not a point; expected three numbers x,y,z [m]",
+                                path.string(), number, line.substr(0, 60)));
             at = next;
         }
         points.push_back(p);
     }
-    if (points.empty()) throw InvalidInput(path.string() + ": no points in it; expected lines x,y,z [m]");
+    if (points.empty())
+        throw InvalidInput(path.string() + ": no points in it; expected lines x,y,z [m]");
     return points;
 }
 
@@ -53,13 +55,14 @@ class JointStage : public Stage {
 public:
     const StageInfo& info() const override
     {
-        static const StageInfo kInfo{"joint",
-                                     "1",
-                                     "grow contraction centre lines and split the rock into columns",
-                                     OutputKind::Scene,
-                                     true,
-                                     {"region", "body_sdf", "slow_sdf", "temperature_gradient"},
-                                     {"centre_lines", "column", "arc"}};
+        static const StageInfo kInfo{
+            "joint",
+            "1",
+            "grow contraction centre lines and split the rock into columns",
+            OutputKind::Scene,
+            true,
+            {"region", "body_sdf", "slow_sdf", "temperature_gradient"},
+            {"centre_lines", "column", "arc"}};
         return kInfo;
     }
 
@@ -92,7 +95,8 @@ public:
             find_param(describe_params(lava), "preset")->set((*made)["preset"]);
             inputs.default_count = lava::preset_defaults(lava.preset).seed_count;
         }
-        if (!files_.seeds.empty()) inputs.explicit_seeds = read_points_csv(resolve(context, files_.seeds));
+        if (!files_.seeds.empty())
+            inputs.explicit_seeds = read_points_csv(resolve(context, files_.seeds));
         const double voxels = static_cast<double>(inputs.region.active_count());
         check_memory("joint", voxels * (params_.arc ? 10 : 6), context.memory_limit);
 
@@ -118,6 +122,9 @@ private:
 
 }  // namespace
 
-std::unique_ptr<Stage> make_joint() { return std::make_unique<JointStage>(); }
+std::unique_ptr<Stage> make_joint()
+{
+    return std::make_unique<JointStage>();
+}
 
 }  // namespace sekitei::apps

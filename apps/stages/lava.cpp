@@ -13,7 +13,10 @@ namespace {
 
 /// Which axis of a mesh file points to the sky.
 enum class UpAxis { Z, Y };
-constexpr std::array<std::string_view, 2> choice_names(UpAxis) { return {"z", "y"}; }
+constexpr std::array<std::string_view, 2> choice_names(UpAxis)
+{
+    return {"z", "y"};
+}
 
 /// How a file is read, beside the solver's own parameters.
 struct FileForm {
@@ -21,7 +24,8 @@ struct FileForm {
 
     static void describe(auto&& field)
     {
-        field("mesh_up", &FileForm::mesh_up, "axis of the mesh file that points up; (x, y, z) with y up becomes (x, -z, y)");
+        field("mesh_up", &FileForm::mesh_up,
+              "axis of the mesh file that points up; (x, y, z) with y up becomes (x, -z, y)");
     }
 };
 
@@ -30,8 +34,8 @@ public:
     const StageInfo& info() const override
     {
         static const StageInfo kInfo{
-            "lava", "1", "make the body of lava and its surroundings", OutputKind::Scene, false,
-            {},     {"region", "region_coarse", "body_sdf", "slow_sdf"}};
+            "lava", "1", "make the body of lava and its surroundings",       OutputKind::Scene,
+            false,  {},  {"region", "region_coarse", "body_sdf", "slow_sdf"}};
         return kInfo;
     }
 
@@ -72,7 +76,9 @@ public:
         scene.put("body_sdf", std::move(result.body_sdf), "m", "lava", GridClass::LevelSet);
         scene.put("slow_sdf", std::move(result.slow_sdf), "m", "lava", GridClass::LevelSet);
         const Coord d = scene.domain.dims;
-        return {{"voxels", voxels}, {"dims", {d.x, d.y, d.z}}, {"voxel_m", scene.domain.transform.voxel}};
+        return {{"voxels", voxels},
+                {"dims", {d.x, d.y, d.z}},
+                {"voxel_m", scene.domain.transform.voxel}};
     }
 
 private:
@@ -89,10 +95,14 @@ private:
     std::string source_file(const StageContext& context) const
     {
         switch (params_.preset) {
-            case lava::Preset::HeightMap: return resolve(context, params_.height_map).string();
-            case lava::Preset::Mesh: return resolve(context, params_.mesh).string();
-            case lava::Preset::Volume: return resolve(context, params_.volume).string();
-            default: return "";
+            case lava::Preset::HeightMap:
+                return resolve(context, params_.height_map).string();
+            case lava::Preset::Mesh:
+                return resolve(context, params_.mesh).string();
+            case lava::Preset::Volume:
+                return resolve(context, params_.volume).string();
+            default:
+                return "";
         }
     }
 
@@ -102,9 +112,10 @@ private:
         if (loaded_) return;
         auto required = [&](const std::filesystem::path& path, const char* option) {
             if (path.empty())
-                throw InvalidParameter(fmt::format("lava: preset {} needs a file: {}",
-                                                   choice_names(params_.preset)[static_cast<std::size_t>(params_.preset)],
-                                                   option));
+                throw InvalidParameter(fmt::format(
+                    "lava: preset {} needs a file: {}",
+                    choice_names(params_.preset)[static_cast<std::size_t>(params_.preset)],
+                    option));
             return resolve(context, path);
         };
         if (params_.preset == lava::Preset::HeightMap)
@@ -136,6 +147,9 @@ private:
 
 }  // namespace
 
-std::unique_ptr<Stage> make_lava() { return std::make_unique<LavaStage>(); }
+std::unique_ptr<Stage> make_lava()
+{
+    return std::make_unique<LavaStage>();
+}
 
 }  // namespace sekitei::apps

@@ -1,7 +1,7 @@
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
-
-#include <fmt/format.h>
 
 #include "apps/stages/stages.h"
 #include "core/error.h"
@@ -18,7 +18,8 @@ struct MeshParams {
     static void describe(auto&& field)
     {
         field("grid", &MeshParams::grid, "float grid whose surface is extracted");
-        field("iso", &MeshParams::iso, "", kAny, "value at the surface; auto: half the largest value, 0 for level sets");
+        field("iso", &MeshParams::iso, "", kAny,
+              "value at the surface; auto: half the largest value, 0 for level sets");
     }
 };
 
@@ -26,13 +27,14 @@ class MeshStage : public Stage {
 public:
     const StageInfo& info() const override
     {
-        static const StageInfo kInfo{"mesh",
-                                     "1",
-                                     "extract the surface as triangles with column and surface attributes",
-                                     OutputKind::Mesh,
-                                     true,
-                                     {"density", "column", "component", "surface"},
-                                     {"rock"}};
+        static const StageInfo kInfo{
+            "mesh",
+            "1",
+            "extract the surface as triangles with column and surface attributes",
+            OutputKind::Mesh,
+            true,
+            {"density", "column", "component", "surface"},
+            {"rock"}};
         return kInfo;
     }
 
@@ -57,19 +59,24 @@ public:
         const FloatGrid& field = scene.floats(params_.grid);
         const bool level_set = scene.grids.at(params_.grid).grid_class == GridClass::LevelSet;
         double iso = 0;
-        if (params_.iso) iso = *params_.iso;
-        else if (!level_set) iso = 0.5 * largest(field);
+        if (params_.iso)
+            iso = *params_.iso;
+        else if (!level_set)
+            iso = 0.5 * largest(field);
         TriMesh mesh = marching_tetrahedra(field, iso, context.progress.slice(0, 0.8));
         if (level_set)  // inside is negative there: turn the surface to face out
             for (auto& t : mesh.triangles) std::swap(t[1], t[2]);
         if (mesh.triangles.empty())
-            throw InvalidInput(fmt::format("mesh: the grid '{}' nowhere crosses iso = {}; nothing is left of the rock",
-                                           params_.grid, iso));
-        if (scene.has("column") && scene.has("component") && scene.has("surface") && params_.grid == "density")
-            add_surface_attributes(mesh,
-                                   SurfaceGrids{field, iso, scene.ints("column"), scene.ints("component"),
-                                                scene.ints("surface"), nullptr, nullptr},
-                                   context.progress.slice(0.8, 1));
+            throw InvalidInput(fmt::format(
+                "mesh: the grid '{}' nowhere crosses iso = {}; nothing is left of the rock",
+                params_.grid, iso));
+        if (scene.has("column") && scene.has("component") && scene.has("surface") &&
+            params_.grid == "density")
+            add_surface_attributes(
+                mesh,
+                SurfaceGrids{field, iso, scene.ints("column"), scene.ints("component"),
+                             scene.ints("surface"), nullptr, nullptr},
+                context.progress.slice(0.8, 1));
         const Json summary = {{"vertices", mesh.vertices.size()},
                               {"triangles", mesh.triangles.size()},
                               {"volume_m3", std::abs(mesh.signed_volume())},
@@ -88,7 +95,8 @@ private:
                 for (std::size_t leaf = begin; leaf < end; ++leaf) {
                     if (const float* v = grid.values(leaf))
                         most = std::max<double>(most, *std::max_element(v, v + kLeafSize));
-                    else most = std::max<double>(most, grid.constant(leaf));
+                    else
+                        most = std::max<double>(most, grid.constant(leaf));
                 }
                 return most;
             },
@@ -100,6 +108,9 @@ private:
 
 }  // namespace
 
-std::unique_ptr<Stage> make_mesh() { return std::make_unique<MeshStage>(); }
+std::unique_ptr<Stage> make_mesh()
+{
+    return std::make_unique<MeshStage>();
+}
 
 }  // namespace sekitei::apps

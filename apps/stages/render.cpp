@@ -16,11 +16,15 @@ struct SliceChoice {
 
     static void describe(auto&& field)
     {
-        field("slice", &SliceChoice::slice, "grid to cut through instead of looking at the surface");
+        field("slice", &SliceChoice::slice,
+              "grid to cut through instead of looking at the surface");
         field("axis", &SliceChoice::axis, "with slice: normal of the plane, x, y or z");
-        field("at", &SliceChoice::at, "m", kAny, "with slice: position of the plane; auto: the middle");
-        field("low", &SliceChoice::low, "", kAny, "with slice: value at the lower end of the colour bar");
-        field("high", &SliceChoice::high, "", kAny, "with slice: value at the upper end of the colour bar");
+        field("at", &SliceChoice::at, "m", kAny,
+              "with slice: position of the plane; auto: the middle");
+        field("low", &SliceChoice::low, "", kAny,
+              "with slice: value at the lower end of the colour bar");
+        field("high", &SliceChoice::high, "", kAny,
+              "with slice: value at the upper end of the colour bar");
     }
 };
 
@@ -28,8 +32,13 @@ class RenderStage : public Stage {
 public:
     const StageInfo& info() const override
     {
-        static const StageInfo kInfo{"render", "1",      "make a picture of the rock or of a slice through a volume",
-                                     OutputKind::Picture, true, {"rock"}, {}};
+        static const StageInfo kInfo{"render",
+                                     "1",
+                                     "make a picture of the rock or of a slice through a volume",
+                                     OutputKind::Picture,
+                                     true,
+                                     {"rock"},
+                                     {}};
         return kInfo;
     }
 
@@ -48,9 +57,12 @@ public:
     {
         render::validate(params_);
         if (choice_.axis != "x" && choice_.axis != "y" && choice_.axis != "z")
-            throw InvalidParameter(fmt::format("render: axis = {}, must be x, y or z", choice_.axis));
+            throw InvalidParameter(
+                fmt::format("render: axis = {}, must be x, y or z", choice_.axis));
         if (!choice_.slice.empty() && params_.width < 200)
-            throw InvalidParameter(fmt::format("render: width = {}, must be at least 200 with slice, for the colour bar", params_.width));
+            throw InvalidParameter(fmt::format(
+                "render: width = {}, must be at least 200 with slice, for the colour bar",
+                params_.width));
     }
 
     Need estimate(SceneOutline&, const StageContext&) override
@@ -64,11 +76,11 @@ public:
         if (!choice_.slice.empty()) {
             picture = render::slice(scene, {choice_.slice, choice_.axis, choice_.at, params_.width,
                                             choice_.low, choice_.high});
-        }
-        else {
+        } else {
             const auto mesh = scene.meshes.find("rock");
             if (mesh == scene.meshes.end())
-                throw InvalidInput("render: the scene has no mesh; run `sekitei mesh` first or give --slice GRID");
+                throw InvalidInput(
+                    "render: the scene has no mesh; run `sekitei mesh` first or give --slice GRID");
             picture = render::run(mesh->second, params_, context.seed, context.progress);
         }
         return {{"width", picture.width}, {"height", picture.height}};
@@ -81,6 +93,9 @@ private:
 
 }  // namespace
 
-std::unique_ptr<Stage> make_render() { return std::make_unique<RenderStage>(); }
+std::unique_ptr<Stage> make_render()
+{
+    return std::make_unique<RenderStage>();
+}
 
 }  // namespace sekitei::apps

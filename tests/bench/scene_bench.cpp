@@ -1,7 +1,9 @@
 // Whole scenes at the paper's sizes: seconds a stage, one and two threads, median of five, and the
-// peak memory of the process. The paper's own times: cliff 1464 s, tower 541 s, coast 1593 s (Pentium IV).
+// peak memory of the process. The paper's own times: cliff 1464 s, tower 541 s, coast 1593 s
+// (Pentium IV).
 //
-//     scene_bench [cliff|tower|coast|large ...]   default: the first three; large: 1000 x 1000 x 400 once
+//     scene_bench [cliff|tower|coast|large ...]   default: the first three; large: 1000 x 1000 x
+//     400 once
 #include <fmt/format.h>
 #include <sys/resource.h>
 
@@ -29,17 +31,30 @@ struct Case {
 };
 
 const std::vector<Case> kCases{
-    {"cliff", {{"lava.preset", "cliff"}, {"joint.count", "250"}, {"weather.cut", "perpendicular"}, {"weather.ramp", "cliff"}}},
-    {"tower", {{"lava.preset", "tower"}, {"joint.count", "400"}, {"weather.cut", "perpendicular"}, {"weather.ramp", "tower"}}},
+    {"cliff",
+     {{"lava.preset", "cliff"},
+      {"joint.count", "250"},
+      {"weather.cut", "perpendicular"},
+      {"weather.ramp", "cliff"}}},
+    {"tower",
+     {{"lava.preset", "tower"},
+      {"joint.count", "400"},
+      {"weather.cut", "perpendicular"},
+      {"weather.ramp", "tower"}}},
     {"coast", {{"lava.preset", "coast"}, {"joint.count", "1200"}, {"weather.cut", "horizontal"}}},
     {"large",
-     {{"lava.preset", "coast"}, {"lava.size", "40m,40m,16m"}, {"lava.voxel", "4cm"}, {"joint.count", "4000"},
-      {"weather.cut", "perpendicular"}, {"weather.ramp", "cliff"}}},
+     {{"lava.preset", "coast"},
+      {"lava.size", "40m,40m,16m"},
+      {"lava.voxel", "4cm"},
+      {"joint.count", "4000"},
+      {"weather.cut", "perpendicular"},
+      {"weather.ramp", "cliff"}}},
 };
 
 double now()
 {
-    return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+    return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch())
+        .count();
 }
 
 /// Runs all stages of a case; returns seconds by stage and the hash of the mesh.
@@ -50,7 +65,8 @@ std::map<std::string, double> once(const Case& c, std::string& hash, double& vox
     for (const char* name : {"lava", "cool", "joint", "weather", "mesh"}) {
         const auto stage = apps::make_stage(name);
         for (const auto& [key, value] : c.settings)
-            if (key.starts_with(std::string(name) + ".")) find_param(stage->params(), key.substr(key.find('.') + 1))->set_text(value);
+            if (key.starts_with(std::string(name) + "."))
+                find_param(stage->params(), key.substr(key.find('.') + 1))->set_text(value);
         apps::StageContext context;
         context.seed = 7;
         context.folder = ".";
@@ -81,12 +97,13 @@ void bench(const Case& c, int repeats)
             const double median = list[list.size() / 2];
             if (threads == 1) single[stage] = median;
             const double ratio = single.contains(stage) ? single[stage] / median : 0;
-            fmt::print("{} {:<8} voxels {:.0f} threads {} seconds {:.3f} speed-up {:.2f} hash {}\n", c.name, stage, voxels, threads,
-                       median, ratio, hash);
+            fmt::print("{} {:<8} voxels {:.0f} threads {} seconds {:.3f} speed-up {:.2f} hash {}\n",
+                       c.name, stage, voxels, threads, median, ratio, hash);
         }
         rusage usage{};
         getrusage(RUSAGE_SELF, &usage);
-        fmt::print("{} peak memory of the process so far {:.2f} GB\n", c.name, static_cast<double>(usage.ru_maxrss) / 1e6);
+        fmt::print("{} peak memory of the process so far {:.2f} GB\n", c.name,
+                   static_cast<double>(usage.ru_maxrss) / 1e6);
         std::fflush(stdout);
     }
 }
@@ -100,5 +117,6 @@ int main(int argc, char** argv)
     std::vector<std::string> wanted(argv + 1, argv + argc);
     if (wanted.empty()) wanted = {"cliff", "tower", "coast"};
     for (const sekitei::Case& c : sekitei::kCases)
-        if (std::find(wanted.begin(), wanted.end(), c.name) != wanted.end()) sekitei::bench(c, c.name == "large" ? 1 : 5);
+        if (std::find(wanted.begin(), wanted.end(), c.name) != wanted.end())
+            sekitei::bench(c, c.name == "large" ? 1 : 5);
 }
