@@ -300,8 +300,8 @@ std::string helped(const CLI::ParseError& error, const CLI::App& program, int ar
     for (const CLI::Option* option : app->get_options())
         for (const std::string& name : option->get_lnames()) known.push_back("--" + name);
     for (const CLI::App* sub : app->get_subcommands(nullptr)) known.push_back(sub->get_name());
-    if (app ==
-        &program)  // no command was understood: the first word that is no option was meant as one
+    // No command was understood: the first word that is no option was meant as one.
+    if (app == &program)
         for (int i = 1; i < argc; ++i) {
             const std::string word = argv[i];
             if (word.empty() || word[0] == '-') continue;
@@ -420,8 +420,8 @@ int run_command_line(int argc, char** argv)
     } catch (const std::bad_alloc&) {
         complain("out of memory; make the voxels larger or give the process more memory");
         return static_cast<int>(ExitCode::Limit);
-    } catch (
-        const std::filesystem::filesystem_error& error) {  // a path that cannot even be looked at
+    } catch (const std::filesystem::filesystem_error& error) {
+        // A path that cannot even be looked at.
         complain(fmt::format("{}: {}", error.path1().string(), error.code().message()));
         return static_cast<int>(ExitCode::BadInput);
     } catch (const std::exception& error) {

@@ -24,8 +24,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr int kCacheVersion = 1;
-constexpr std::size_t kKeptResults =
-    4;  // older results of a stage that stay for going back and forth
+constexpr std::size_t kKeptResults = 4;  // of a stage, for going back and forth
 
 double seconds_now()
 {
@@ -548,8 +547,8 @@ private:
             ReadOptions read;
             read.only = {name};
             read.memory_limit = options_.memory_limit;
-            read.check_hashes =
-                false;  // the file's own hash was compared when the record was found
+            // The file's own hash was compared when the record was found.
+            read.check_hashes = false;
             Scene part = read_vdb(result, read);
             move_item(name, part, scene_);
         }

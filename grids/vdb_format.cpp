@@ -203,8 +203,8 @@ Header parse_header(std::string_view bytes, const std::string& file)
     if (bytes.empty()) throw InvalidInput(file + ": empty file, expected a VDB");
     std::uint64_t magic = 0;
     std::memcpy(&magic, bytes.data(), std::min<std::size_t>(8, bytes.size()));
-    const std::uint64_t known =
-        bytes.size() >= 8 ? ~0ull : (1ull << (8 * bytes.size())) - 1;  // of a cut magic number
+    // What can be compared of a magic number that was cut.
+    const std::uint64_t known = bytes.size() >= 8 ? ~0ull : (1ull << (8 * bytes.size())) - 1;
     if (magic != (kMagic & known))
         throw InvalidInput(
             fmt::format("{}: not a VDB: magic number {:#x}, expected {:#x}", file, magic, kMagic));

@@ -31,8 +31,8 @@ struct Params {
     std::optional<double> seed_radius;  ///< least pair distance [m]; auto: 0.8 sqrt(area / count)
     SeedMode seed_mode = SeedMode::Surface;
     double maturity = 1;  ///< Lloyd sweeps
-    std::optional<double>
-        target_cv;    ///< instead of maturity: coefficient of variation of cell areas
+    /// Instead of maturity: coefficient of variation of cell areas.
+    std::optional<double> target_cv;
     double step = 1;  ///< Kf [voxels]
     Integrator integrator = Integrator::Rk4;
     double least_direction = 0.1;  ///< g_min

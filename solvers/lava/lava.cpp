@@ -14,10 +14,9 @@
 namespace sekitei::lava {
 namespace {
 
-constexpr double kContact =
-    3.0 / 32;                      // thickness of the paper's cold slabs, share of the box height
-constexpr double kHeatVoxels = 8;  // fine voxels to a heat cell, at most
-constexpr double kLongestSide = 250;  // voxels, when the size of a voxel is left to us
+constexpr double kContact = 3.0 / 32;  // of the paper's cold slabs, share of the box height
+constexpr double kHeatVoxels = 8;      // fine voxels to a heat cell, at most
+constexpr double kLongestSide = 250;   // voxels, when the size of a voxel is left to us
 constexpr Stream kTopNoise{"lava.top"}, kBottomNoise{"lava.bottom"};
 
 bool from_file(Preset preset)

@@ -54,10 +54,9 @@ struct Params {
     /// bodies from files 250 voxels along the longest side, volumes their own.
     std::optional<double> voxel;
     std::optional<double> heat_cell;  ///< coarse edge [m]; auto: about 8 voxels (paper: 250 / 32)
-    std::optional<double>
-        noise_amplitude;  ///< of the boundaries, share of the box's height; auto: by preset
-    double noise_beta = 2;
-    // ... parameters of height maps, meshes and volumes: see describe()
+    /// Of the boundaries, share of the box's height; auto: by preset.
+    std::optional<double> noise_amplitude;
+    double noise_beta = 2;  ///< spectral exponent of the boundary noise
     std::filesystem::path height_map;
     double metres_per_pixel = 10;
     double height_low = 0, height_high = 100;  ///< [m] of the darkest and brightest grey
@@ -65,9 +64,8 @@ struct Params {
     std::filesystem::path mesh;
     double mesh_scale = 1;  ///< metres per unit of the file
     std::filesystem::path volume;
-    std::optional<double>
-        margin;  ///< cold surroundings of a body from a file [m]; auto: two heat cells
-    bool cold_ground = false;  ///< the ground below a height map's base cools it too
+    std::optional<double> margin;  ///< cold around a body from a file [m]; auto: two heat cells
+    bool cold_ground = false;      ///< the ground below a height map's base cools it too
     SlowPart slow = SlowPart::None;
     double slow_below = 0;    ///< [m], with `below`
     double slow_slope = 0.5;  ///< facing_down: outward normal z below -slow_slope
@@ -122,13 +120,13 @@ struct Inputs {
     std::optional<Image16> height_map;
     std::optional<TriMesh> mesh;           ///< in the file's units
     std::vector<std::string> mesh_groups;  ///< names; the face attribute `group` indexes them
-    const Scene* volume =
-        nullptr;  ///< `region` (Int32), or level sets `body_sdf` / any single level set
+    /// `region` (Int32), or level sets `body_sdf` / any single level set.
+    const Scene* volume = nullptr;
 };
 
 struct Result {
-    Domain domain,
-        heat_domain;  ///< boxes with one origin; the coarse one may reach a little farther
+    /// Boxes with one origin; the coarse one may reach a little farther.
+    Domain domain, heat_domain;
     IntGrid region, region_coarse;  ///< ids; background kCold; lava and slow voxels active
     /// Level set of lava and slow part together [m]. It knows nothing of the box walls: values go
     /// on as if there were none, and are valid one leaf beyond the box.
@@ -137,7 +135,7 @@ struct Result {
     double lava_voxels = 0, cold_voxels = 0, slow_voxels = 0;  ///< of the fine box
 };
 
-/// What a preset recommends for later stages (columnar-joints spec 2.9).
+/// What a preset recommends for later stages.
 struct PresetDefaults {
     int heat_steps = 200;
     double plateau_share = 1e-3;    ///< plateau_eps / (T_hot - T_cold)

@@ -5,7 +5,7 @@
 namespace sekitei {
 namespace {
 
-// Check values of the project's generator specification, computed independently of this code.
+// Check values of the generator that core/random.h defines, computed independently of this code.
 TEST(Random, AgreesWithThePublishedCheckValues)
 {
     EXPECT_EQ(mix64(0), 0xe220a8397b1dcdafu);
