@@ -170,7 +170,7 @@ void add_stage_command(CLI::App& program, Commands& commands, const StageInfo& i
         const std::string help =
             fmt::format("{} ({}; default {})", p.help, p.type_text(), p.value_text());
         if (p.kind == Param::Kind::Flag)
-            c.app->add_flag("--" + option + ",!--no-" + option, c.flags[p.name], help)
+            c.app->add_flag(fmt::format("--{0},!--no-{0}", option), c.flags[p.name], help)
                 ->group("Parameters");
         else
             c.app->add_option("--" + option, c.words[p.name], help)

@@ -8,6 +8,7 @@
 #include <numeric>
 
 #include "core/error.h"
+#include "core/mesh_sides.h"
 #include "core/parallel.h"
 
 namespace sekitei {
@@ -17,13 +18,6 @@ bool finite(Vec3f p)
 {
     return std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z);
 }
-
-/// One side of a triangle: the two ends in rising order, then who it belongs to.
-struct Side {
-    std::uint64_t edge;  ///< lower vertex << 32 | higher vertex
-    std::uint32_t triangle;
-    bool rising;  ///< the triangle runs from the lower to the higher vertex
-};
 
 struct Pieces {
     std::vector<std::uint32_t> parent;
@@ -94,7 +88,7 @@ MeshReport inspect(const TriMesh& mesh)
     // Look at every vertex and every triangle.
     std::vector<char> used(mesh.vertices.size(), 0);
     TriMesh sound;  // triangles whose measures are numbers
-    std::vector<Side> sides;
+    std::vector<TriangleSide> sides;
     sides.reserve(3 * mesh.triangles.size());
     Pieces pieces(mesh.triangles.size());
     std::size_t whole = 0;  // triangles with three different vertices
@@ -114,17 +108,11 @@ MeshReport inspect(const TriMesh& mesh)
         if (repeated || area == 0) ++report.zero_area;
         if (repeated) continue;
         ++whole;
-        for (int k = 0; k < 3; ++k) {
-            const std::uint64_t from = mesh.triangles[t][std::size_t(k)],
-                                to = mesh.triangles[t][std::size_t((k + 1) % 3)];
-            sides.push_back({std::min(from, to) << 32 | std::max(from, to), t, from < to});
-        }
+        append_sides(mesh, t, sides);
     }
 
     // Look at every edge.
-    std::sort(sides.begin(), sides.end(), [](const Side& a, const Side& b) {
-        return a.edge != b.edge ? a.edge < b.edge : a.triangle < b.triangle;
-    });
+    sort_by_edge(sides);
     std::int64_t edges = 0;
     for (std::size_t i = 0, next = 0; i < sides.size(); i = next) {
         for (next = i + 1; next < sides.size() && sides[next].edge == sides[i].edge; ++next)
@@ -145,7 +133,8 @@ MeshReport inspect(const TriMesh& mesh)
 
     // Vertices of repeated triangles alone belong to no surface.
     std::fill(used.begin(), used.end(), 0);
-    for (const Side& side : sides) used[side.edge >> 32] = used[side.edge & 0xFFFFFFFFu] = 1;
+    for (const TriangleSide& side : sides)
+        used[side.edge >> 32] = used[side.edge & 0xFFFFFFFFu] = 1;
     report.euler =
         std::count(used.begin(), used.end(), 1) - edges + static_cast<std::int64_t>(whole);
 

@@ -9,6 +9,7 @@
 
 #include "core/error.h"
 #include "core/mesh_formats.h"
+#include "core/mesh_sides.h"
 #include "core/random.h"
 
 namespace sekitei::mesh_format {
@@ -335,23 +336,11 @@ private:
 /// @return  triangles turned
 std::size_t orient(TriMesh& mesh, std::vector<std::string>& warnings, const std::string& name)
 {
-    struct Side {
-        std::uint64_t edge;
-        std::uint32_t triangle;
-        bool rising;
-    };
     const std::size_t count = mesh.triangles.size();
-    std::vector<Side> sides;
+    std::vector<TriangleSide> sides;
     sides.reserve(3 * count);
-    for (std::uint32_t t = 0; t < count; ++t)
-        for (int k = 0; k < 3; ++k) {
-            const std::uint64_t from = mesh.triangles[t][std::size_t(k)],
-                                to = mesh.triangles[t][std::size_t((k + 1) % 3)];
-            sides.push_back({std::min(from, to) << 32 | std::max(from, to), t, from < to});
-        }
-    std::sort(sides.begin(), sides.end(), [](const Side& a, const Side& b) {
-        return a.edge != b.edge ? a.edge < b.edge : a.triangle < b.triangle;
-    });
+    for (std::uint32_t t = 0; t < count; ++t) append_sides(mesh, t, sides);
+    sort_by_edge(sides);
 
     // Neighbours across edges of exactly two triangles; elsewhere orientation says nothing.
     struct Neighbour {
@@ -363,7 +352,7 @@ std::size_t orient(TriMesh& mesh, std::vector<std::string>& warnings, const std:
     for (std::size_t i = 0, next = 0; i < sides.size(); i = next) {
         for (next = i + 1; next < sides.size() && sides[next].edge == sides[i].edge;) ++next;
         if (next - i != 2) continue;
-        const Side &a = sides[i], &b = sides[i + 1];
+        const TriangleSide &a = sides[i], &b = sides[i + 1];
         neighbours[a.triangle][degree[a.triangle]++] = {b.triangle, a.rising != b.rising};
         neighbours[b.triangle][degree[b.triangle]++] = {a.triangle, a.rising != b.rising};
     }

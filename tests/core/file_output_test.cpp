@@ -12,6 +12,7 @@
 
 #include "core/error.h"
 #include "core/hash.h"
+#include "tests/support/temporary_folder.h"
 
 namespace sekitei {
 namespace {
@@ -23,26 +24,6 @@ using ::testing::ThrowsMessage;
 
 class FileOutput : public ::testing::Test {
 protected:
-    void SetUp() override
-    {
-        std::string name = (fs::temp_directory_path() / "file_output_XXXXXX").string();
-        ASSERT_NE(mkdtemp(name.data()), nullptr);
-        folder_ = name;
-    }
-    void TearDown() override
-    {
-        for (const fs::path& m : mounted_) umount2(m.c_str(), MNT_DETACH);
-        fs::remove_all(folder_);
-    }
-    /// A file system of its own of `size` bytes; false where this is not permitted.
-    bool mount_small(const fs::path& where, const std::string& size, unsigned long flags = 0)
-    {
-        fs::create_directory(where);
-        if (mount("tmpfs", where.c_str(), "tmpfs", flags, ("size=" + size).c_str()) != 0)
-            return false;
-        mounted_.push_back(where);
-        return true;
-    }
     static std::vector<std::string> names_in(const fs::path& folder)
     {
         std::vector<std::string> names;
@@ -51,8 +32,8 @@ protected:
         return names;
     }
 
-    fs::path folder_;
-    std::vector<fs::path> mounted_;
+    TemporaryFolder temporary_;
+    const fs::path folder_ = temporary_.path();
 };
 
 TEST_F(FileOutput, TheTargetIsTheOldFileUntilCommitAndTheNewOneAfterwards)
@@ -104,7 +85,8 @@ TEST_F(FileOutput, AVerifierThatThrowsKeepsTheOldFile)
 TEST_F(FileOutput, AFullDiskNamesNeededAndFreeAndKeepsTheOldFile)
 {
     const fs::path disk = folder_ / "disk";
-    if (!mount_small(disk, "64k")) GTEST_SKIP() << "mounting a file system is not permitted";
+    if (!temporary_.mount_small(disk, "64k"))
+        GTEST_SKIP() << "mounting a file system is not permitted";
     write_file(disk / "a.bin", "old");
     const std::string big(5300000, 'x');
     auto reserved = [&] { write_file(disk / "a.bin", big); };
@@ -125,7 +107,7 @@ TEST_F(FileOutput, AReadOnlyFolderIsRefusedBeforeAnythingIsWritten)
 {
     const fs::path folder = folder_ / "fixed";
     if (geteuid() == 0) {
-        if (!mount_small(folder, "64k", MS_RDONLY))
+        if (!temporary_.mount_small(folder, "64k", MS_RDONLY))
             GTEST_SKIP() << "root may write everywhere and cannot mount here";
     } else {
         fs::create_directory(folder);

@@ -4,10 +4,9 @@
 #include <gtest/gtest.h>
 #include <png.h>
 
-#include <filesystem>
-
 #include "core/error.h"
 #include "core/random.h"
+#include "tests/support/temporary_folder.h"
 
 namespace sekitei {
 namespace {
@@ -118,10 +117,10 @@ TEST(Image, EqualPicturesAreEqualFiles)
 
 TEST(Image, FilesOnDiskComeBack)
 {
-    const auto path = std::filesystem::temp_directory_path() / "sekitei_image_test.png";
+    const TemporaryFolder folder;
+    const auto path = folder / "a.png";
     write_png(path, noise_image<std::uint16_t>(1));
     EXPECT_EQ(read_png_grey16(path).pixels, noise_image<std::uint16_t>(1).pixels);
-    std::filesystem::remove(path);
 }
 
 TEST(Image, EveryTruncationIsNamed)

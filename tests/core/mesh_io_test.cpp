@@ -12,6 +12,7 @@
 #include "core/error.h"
 #include "core/random.h"
 #include "tests/core/meshes.h"
+#include "tests/support/temporary_folder.h"
 
 namespace sekitei {
 namespace {
@@ -161,15 +162,13 @@ TEST(MeshIo, EveryFormatBringsBackTheSurface)
 
 TEST(MeshIo, FilesOnDiskComeBackByContentNotByName)
 {
-    const auto folder = std::filesystem::temp_directory_path() / "sekitei_mesh_io_test";
-    std::filesystem::create_directories(folder);
+    const TemporaryFolder folder;
     for (const std::string extension : {".ply", ".obj", ".stl", ".off"}) {
         const auto path = folder / ("box" + extension), misnamed = folder / "box.dat";
         write_mesh(path, box({1, 2, 3}, {2, 3, 4}));
         std::filesystem::rename(path, misnamed);
         EXPECT_NEAR(read_mesh(misnamed).signed_volume(), 24, 1e-9) << extension;
     }
-    std::filesystem::remove_all(folder);
 }
 
 TEST(MeshIo, ObjGroupsCarryTheColumn)

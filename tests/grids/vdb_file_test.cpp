@@ -19,6 +19,7 @@
 #include "core/math.h"
 #include "core/random.h"
 #include "grids/vdb_format.h"
+#include "tests/support/temporary_folder.h"
 
 namespace sekitei {
 namespace {
@@ -33,18 +34,7 @@ constexpr Transform kPlace{.origin = {1.1, -2.7, 0.3}, .voxel = 0.07};
 
 class VdbFile : public ::testing::Test {
 protected:
-    void SetUp() override
-    {
-        openvdb::initialize();
-        std::string name = (fs::temp_directory_path() / "vdb_file_XXXXXX").string();
-        ASSERT_NE(mkdtemp(name.data()), nullptr);
-        folder_ = name;
-    }
-    void TearDown() override
-    {
-        if (!mounted_.empty()) umount2(mounted_.c_str(), MNT_DETACH);
-        fs::remove_all(folder_);
-    }
+    void SetUp() override { openvdb::initialize(); }
     fs::path file(const std::string& name = "a.vdb") const { return folder_ / name; }
     Scene round_trip(const Scene& scene, const WriteOptions& options = {}) const
     {
@@ -52,7 +42,8 @@ protected:
         return read_vdb(file());
     }
 
-    fs::path folder_, mounted_;
+    TemporaryFolder temporary_;
+    const fs::path folder_ = temporary_.path();
 };
 
 double random_at(Coord c, std::uint64_t draw)
@@ -731,13 +722,10 @@ TEST_F(VdbFile, LimitsAreKeptBeforeAnythingIsAllocated)
 
 TEST_F(VdbFile, AFullDiskLeavesTheOldFile)
 {
-    mounted_ = folder_ / "disk";
-    fs::create_directory(mounted_);
-    if (mount("tmpfs", mounted_.c_str(), "tmpfs", 0, "size=64k") != 0) {
-        mounted_.clear();
+    const fs::path disk = folder_ / "disk";
+    if (!temporary_.mount_small(disk, "64k"))
         GTEST_SKIP() << "mounting a file system is not permitted";
-    }
-    const fs::path path = mounted_ / "a.vdb";
+    const fs::path path = disk / "a.vdb";
     write_vdb(path, small_scene());
     const std::string old = read_file(path);
     Scene big;
@@ -745,11 +733,10 @@ TEST_F(VdbFile, AFullDiskLeavesTheOldFile)
     EXPECT_THAT([&] { write_vdb(path, big); },
                 ThrowsMessage<IoError>(AllOf(HasSubstr("no space: needed"), HasSubstr("free"))));
     EXPECT_EQ(read_file(path), old);
-    EXPECT_EQ(std::distance(fs::directory_iterator(mounted_), fs::directory_iterator()), 1);
+    EXPECT_EQ(std::distance(fs::directory_iterator(disk), fs::directory_iterator()), 1);
 }
 
-// --- pipes, info, other programs
-// ------------------------------------------------------------------
+// --- pipes, info, other programs -----------------------------------------------------------------
 
 TEST_F(VdbFile, AScenePassesThroughAPipe)
 {
