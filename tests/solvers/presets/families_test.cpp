@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
+#include <utility>
+#include <vector>
 
 #include "core/random.h"
 #include "grids/nearest_polyline.h"
@@ -223,8 +226,9 @@ TEST(CentreLines, EndAtTheSamePlacesWithAQuarterOfTheStep)
         const Body body(preset);
         const std::vector<Vec3d> seeds = body.seeds();
         const Polylines coarse = body.lines(seeds), fine = body.lines(seeds, 0.25);
+        // A voxel and a half would do; Euler's method is within that, too.
         for (std::size_t i = 0; i < seeds.size(); ++i) {
-            EXPECT_LE(length(end_of(coarse, i) - end_of(fine, i)), 1.5) << i;
+            EXPECT_LE(length(end_of(coarse, i) - end_of(fine, i)), 0.05) << i;
             EXPECT_GT(fine.size(i), 3 * coarse.size(i));
         }
     }
@@ -297,11 +301,15 @@ TEST(Rosette, ColumnsAreStarShapedTowardsTheirLines)
     EXPECT_LT(others, passed / 5);
 }
 
-/// Temperatures only scale the field: T' = a + b T has the directions of T.
+/// Temperatures only scale the field: a + b T has the directions of T.
 TEST(Families, BendTheSameAtTheTemperaturesOfBasalt)
 {
-    for (const lava::Preset preset :
-         {lava::Preset::Chevron, lava::Preset::Rosette, lava::Preset::Fan, lava::Preset::Basin}) {
+    using lava::Preset;
+    std::vector<std::pair<Preset, std::optional<int>>> cases{
+        {Preset::Chevron, {}}, {Preset::Rosette, {}}, {Preset::Fan, {}}, {Preset::Basin, {}}};
+    // The rim of the plateau, where the gradient fades, passes through many values.
+    for (int steps = 8; steps < 60; steps += 4) cases.emplace_back(Preset::Chevron, steps);
+    for (const auto& [preset, steps] : cases) {
         const lava::Result lava = lava::run({},
                                             {.preset = preset,
                                              .size = Vec3d(10),
@@ -312,26 +320,23 @@ TEST(Families, BendTheSameAtTheTemperaturesOfBasalt)
         const auto defaults = lava::preset_defaults(preset);
         const cooling::Inputs inputs{lava.region_coarse, lava.heat_domain, defaults.heat_steps,
                                      defaults.plateau_share};
-        cooling::Params virtual_degrees, basalt;
+        cooling::Params virtual_degrees{.steps = steps}, basalt{.steps = steps};
         apps::apply_params_file(SEKITEI_DATA "/materials/basalt.toml", describe_params(basalt));
         EXPECT_NEAR(basalt.lava_temperature, 1433.15, 1e-9);
-        EXPECT_EQ(basalt.steps, std::nullopt);
+        EXPECT_EQ(basalt.steps, steps);
         const cooling::Result a = cooling::run(inputs, virtual_degrees, {}, {}),
                               b = cooling::run(inputs, basalt, {}, {});
         EXPECT_LT(b.temperature.value({16, 16, 16}), 1500);
-        double worst = 0;
         std::size_t cells = 0;
         for (int x = 0; x < 32; ++x)
             for (int y = 0; y < 32; ++y)
                 for (int z = 0; z < 32; ++z) {
                     const Coord c(x, y, z);
-                    EXPECT_EQ(a.gradient.active(c), b.gradient.active(c));
+                    ASSERT_EQ(a.gradient.active(c), b.gradient.active(c));
+                    ASSERT_LT(length(a.gradient.value(c) - b.gradient.value(c)), 1e-5);
                     cells += a.gradient.active(c);
-                    worst =
-                        std::max(worst, double(length(a.gradient.value(c) - b.gradient.value(c))));
                 }
-        EXPECT_LT(worst, 1e-5);
-        EXPECT_GT(cells, 10000u);
+        EXPECT_GT(cells, steps ? 5000u : 20000u);
     }
 }
 

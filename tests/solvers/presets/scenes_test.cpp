@@ -27,11 +27,9 @@ const std::map<std::string, Overrides> kHalfSize{
     {"basin", {"lava.voxel=8cm", "lava.size=[\"10m\", \"10m\", \"10m\"]"}},
 };
 
-Scene half_size(const std::string& name, const Overrides& more = {})
+Scene half_size(const std::string& name)
 {
-    Overrides overrides = kHalfSize.at(name);
-    overrides.insert(overrides.end(), more.begin(), more.end());
-    return run_recipe(name, overrides);
+    return run_recipe(name, kHalfSize.at(name));
 }
 
 Polylines lines_of(const Scene& scene)
@@ -43,8 +41,7 @@ class Rock : public testing::TestWithParam<std::string> {};
 
 TEST_P(Rock, IsASolidOfTheVolumeOfItsDensity)
 {
-    const Scene scene = half_size(GetParam());
-    expect_solid(scene);
+    expect_solid(half_size(GetParam()));
 }
 
 INSTANTIATE_TEST_SUITE_P(Scenes, Rock,
