@@ -8,6 +8,7 @@
 
 #include "core/error.h"
 #include "core/log.h"
+#include "core/mesh_intersections.h"
 #include "core/noise.h"
 #include "grids/level_set.h"
 
@@ -829,6 +830,14 @@ void fill_from_mesh(Result& result, double ratio, const Params& params, const In
     if (report.misoriented_edges > 0)
         log::warning("lava: {} edges of the mesh join faces of opposite orientation",
                      report.misoriented_edges);
+    constexpr std::uint64_t kMostCounted = 10000;
+    const std::uint64_t crossing =
+        count_self_intersections(mesh, kMostCounted, progress.slice(0, 0.05));
+    if (crossing > 0)
+        log::warning(
+            "lava: the mesh intersects itself: {}{} pairs of its triangles meet without a common "
+            "vertex; what any of its parts encloses counts as inside",
+            crossing > kMostCounted ? "more than " : "", std::min(crossing, kMostCounted));
 
     FloatGrid body =
         report.open_edges > 0

@@ -440,6 +440,28 @@ TEST(Lava, AnOpenMeshIsRepairedWithItsCountToldOrRefusedWhenStrict)
     EXPECT_NO_THROW(make(params, mesh_inputs(shapes::box({0, 0, 0}, {4, 3, 2.5}))));
 }
 
+TEST(Lava, WhatAnyPartOfASelfIntersectingMeshEnclosesIsInsideAndTheCrossingsAreTold)
+{
+    // Two boxes that overlap in 1.5 x 1 x 0.5.
+    TriMesh both = shapes::box({0, 0, 0}, {4, 3, 2.5});
+    const TriMesh other = shapes::box({2.5, 2, 2}, {5, 4, 4});
+    for (const auto& [a, b, c] : other.triangles) both.triangles.push_back({a + 8, b + 8, c + 8});
+    both.vertices.insert(both.vertices.end(), other.vertices.begin(), other.vertices.end());
+    Params params = plain(Preset::Mesh);
+    params.voxel = 0.1;
+    std::string told;
+    log::set_sink([&](log::Level, const std::string& line) { told += line + "\n"; });
+    const Result r = make(params, mesh_inputs(both));
+    EXPECT_THAT(told, HasSubstr("the mesh intersects itself: "));
+    EXPECT_THAT(told, HasSubstr("counts as inside"));
+    told.clear();
+    make(params, mesh_inputs(other));
+    log::set_sink({});
+    EXPECT_EQ(told, "");
+    const double volume = 4 * 3 * 2.5 + 2.5 * 2 * 2 - 1.5 * 1 * 0.5;
+    EXPECT_NEAR(r.lava_voxels, volume * 1000, volume * 1000 * 2e-3);
+}
+
 TEST(Lava, AScannedBunnyIsABodyAlsoWithItsFeetCutOff)
 {
     const std::filesystem::path path = "/usr/share/glmark2/models/bunny.obj";
