@@ -248,6 +248,7 @@ std::vector<std::size_t> sorted(const std::vector<Draft>& drafts, Errors& errors
     for (std::size_t i = 0; i < drafts.size(); ++i) index[drafts[i].stage.name] = i;
     std::vector<std::vector<std::size_t>> parents(drafts.size());
     std::vector<std::string> names;
+    names.reserve(drafts.size());
     for (const Draft& d : drafts) names.push_back(d.stage.name);
     for (std::size_t i = 0; i < drafts.size(); ++i)
         for (const std::string& parent : drafts[i].from) {

@@ -248,7 +248,7 @@ void draw_colour_bar(Image8& image, int x, int y, int height, double low, double
     const Ticks t = ticks(low, high, 6);
     for (const double v : t.values) {
         const double share = high > low ? (v - low) / (high - low) : 0.5;
-        const int j = top + bar - 1 - static_cast<int>(share * (bar - 1) + 0.5);
+        const int j = top + bar - 1 - static_cast<int>(std::lround(share * (bar - 1)));
         for (int i = 0; i < 3 * scale; ++i) set_pixel(image, x + kBarWidth * scale + i, j, ink);
         draw_text(image, x + (kBarWidth + 5) * scale, j - 3 * scale, tick_text(v, t), scale, ink);
     }
