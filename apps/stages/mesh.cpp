@@ -77,7 +77,7 @@ public:
                 SurfaceGrids{field, iso, scene.ints("column"), scene.ints("component"),
                              scene.ints("surface"), nullptr, nullptr},
                 context.progress.slice(0.8, 1));
-        const Json summary = {{"vertices", mesh.vertices.size()},
+        Json summary = {{"vertices", mesh.vertices.size()},
                               {"triangles", mesh.triangles.size()},
                               {"volume_m3", std::abs(mesh.signed_volume())},
                               {"area_m2", mesh.area()}};
