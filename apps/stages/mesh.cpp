@@ -78,9 +78,9 @@ public:
                              scene.ints("surface"), nullptr, nullptr},
                 context.progress.slice(0.8, 1));
         Json summary = {{"vertices", mesh.vertices.size()},
-                              {"triangles", mesh.triangles.size()},
-                              {"volume_m3", std::abs(mesh.signed_volume())},
-                              {"area_m2", mesh.area()}};
+                        {"triangles", mesh.triangles.size()},
+                        {"volume_m3", std::abs(mesh.signed_volume())},
+                        {"area_m2", mesh.area()}};
         scene.meshes["rock"] = std::move(mesh);
         return summary;
     }
