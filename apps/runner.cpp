@@ -55,6 +55,18 @@ Domain domain_from(const Json& j)
     return {{j[0], j[1], j[2]}, {{j[3], j[4], j[5]}, j[6]}};
 }
 
+Json bounds_json(const Bounds& b)
+{
+    return {{b.lower.x, b.lower.y, b.lower.z}, {b.upper.x, b.upper.y, b.upper.z}};
+}
+
+Bounds bounds_from(const Json& j)
+{
+    Bounds b;
+    for (const Json& corner : j) b.add(Vec3d(corner[0], corner[1], corner[2]));
+    return b;
+}
+
 /// Exclusive use of an output folder while it lives.
 class FolderLock {
 public:
@@ -311,7 +323,7 @@ private:
         std::error_code error;
         if (!fs::exists(result) ||
             fs::file_size(result, error) != record.json.value("bytes", std::uint64_t{0}) ||
-            file_hash(result) != record.json.value("file_hash", "")) {
+            file_hash(result, context(i).progress) != record.json.value("file_hash", "")) {
             reason = "its kept result is missing or damaged";
             return {};
         }
@@ -473,29 +485,32 @@ private:
 
         // Keep the result: the file first, the record that vouches for it last.
         const fs::path result = result_path(i, key);
+        const Progress keeping = c.progress.named("keeping the result");
         std::map<std::string, std::string> outputs;
         if (process.info().output == OutputKind::Picture)
             write_png(result, process.picture);
         else if (process.info().output == OutputKind::Mesh) {
             const TriMesh& mesh = scene_.meshes.at("rock");
-            const std::string bytes = encode_mesh(mesh, ".ply");
+            const std::string bytes = encode_mesh(mesh, ".ply", keeping);
             outputs["rock"] = hash_hex(bytes);
-            write_file(result, bytes);
+            write_file(result, bytes, keeping);
         } else {
             Scene part;
             part.domain = scene_.domain;
             part.heat_domain = scene_.heat_domain;
             for (const std::string& name : process.info().makes) move_item(name, scene_, part);
             try {
-                for (const auto& [name, grid] : part.grids) outputs[name] = content_hash(grid);
+                for (const auto& [name, grid] : part.grids)
+                    outputs[name] = content_hash(grid, keeping);
                 for (const auto& [name, points] : part.points) outputs[name] = content_hash(points);
-                write_vdb(result, part);
+                write_vdb(result, part, {}, keeping);
             } catch (...) {
                 for (const std::string& name : process.info().makes) move_item(name, part, scene_);
                 throw;
             }
             for (const std::string& name : process.info().makes) move_item(name, part, scene_);
         }
+        clear_progress_line();
         for (const auto& [name, hash] : outputs) in_memory_[name] = hash;
 
         double lava_voxels = outline.lava_voxels;
@@ -507,12 +522,14 @@ private:
                        {"ingredients", now},
                        {"outputs", outputs},
                        {"bytes", static_cast<std::uint64_t>(fs::file_size(result))},
-                       {"file_hash", file_hash(result)},
+                       {"file_hash", file_hash(result, keeping)},
                        {"domain", domain_json(scene_.domain)},
                        {"heat_domain", domain_json(scene_.heat_domain)},
                        {"lava_voxels", lava_voxels},
                        {"summary", summary},
                        {"seconds", seconds_now() - start}}};
+        if (process.info().output == OutputKind::Mesh)
+            record.json["bounds"] = bounds_json(scene_.meshes.at("rock").bounds());
         write_file(record_path(i, key), record.json.dump(1));
         adopt(i, std::move(items), record);
         return record;
@@ -541,23 +558,20 @@ private:
         drop(name);
         const std::string key = records_[item.maker].json["key"];
         const fs::path result = result_path(item.maker, key);
+        const Progress reading = context(item.maker).progress.named("reading");
         if (stage(item.maker).process->info().output == OutputKind::Mesh)
-            scene_.meshes[name] = read_mesh_exactly(result);
+            scene_.meshes[name] =
+                decode_ply(read_file(result, 1ull << 36, reading), result.string());
         else {
             ReadOptions read;
             read.only = {name};
             read.memory_limit = options_.memory_limit;
             // The file's own hash was compared when the record was found.
             read.check_hashes = false;
-            Scene part = read_vdb(result, read);
+            Scene part = read_vdb(result, read, reading);
             move_item(name, part, scene_);
         }
         in_memory_[name] = item.hash;
-    }
-
-    static TriMesh read_mesh_exactly(const fs::path& path)
-    {
-        return decode_ply(read_file(path, 1ull << 36), path.string());
     }
 
     /// Frees what no later stage or output file needs.
@@ -586,13 +600,16 @@ private:
         const std::string recipe_key = output_key(i, name);
         const Json old = state_.value("outputs", Json::object());
         const bool fresh = old.contains(name) && old[name].value("key", "") == recipe_key &&
-                           fs::exists(target) && file_hash(target) == old[name].value("hash", "");
+                           fs::exists(target) &&
+                           file_hash(target, context(i).progress) == old[name].value("hash", "");
         if (!fresh) {
             // Say that the name is ours before the file exists, so that a killed run can go on.
             state_["owned"][name] = "";
             save_state();
             produce(i, target);
-            state_["outputs"][name] = {{"key", recipe_key}, {"hash", file_hash(target)}};
+            clear_progress_line();
+            state_["outputs"][name] = {{"key", recipe_key},
+                                       {"hash", file_hash(target, context(i).progress)}};
         }
         state_["owned"][name] = state_["outputs"][name]["hash"];
         save_state();
@@ -615,8 +632,12 @@ private:
     {
         const OutputKind kind = stage(i).process->info().output;
         const std::string suffix = target.extension().string();
-        if (kind == OutputKind::Picture) {
-            write_file(target, read_file(result_path(i, records_[i].json["key"])));
+        const Progress writing = context(i).progress.named("writing");
+        if (kind == OutputKind::Picture ||
+            (kind == OutputKind::Mesh && suffix == ".ply")) {  // the kept result itself
+            write_file(target,
+                       read_file(result_path(i, records_[i].json["key"]), 1ull << 36, writing),
+                       writing);
         } else if (suffix == ".vdb") {
             Scene whole;
             for (const auto& [name, item] : visible_[i])
@@ -629,7 +650,7 @@ private:
                 for (const auto& [name, item] : visible_[i]) move_item(name, whole, scene_);
             };
             try {
-                write_vdb(target, whole);
+                write_vdb(target, whole, {}, writing);
             } catch (...) {
                 give_back();
                 throw;
@@ -637,15 +658,20 @@ private:
             give_back();
         } else {
             load("rock", visible_[i].at("rock"));
-            write_mesh(target, scene_.meshes.at("rock"));
+            write_mesh(target, scene_.meshes.at("rock"), writing);
         }
     }
 
     void write_manifest()
     {
         Json outputs = Json::array();
-        for (const auto& [name, i] : written_)
-            outputs.push_back(describe_output(recipe_.out / name, name, stage(i).name));
+        for (const auto& [name, i] : written_) {
+            std::optional<Bounds> bounds;
+            if (const auto known = records_[i].json.find("bounds"); known != records_[i].json.end())
+                bounds = bounds_from(*known);
+            outputs.push_back(describe_output(recipe_.out / name, name, stage(i).name, bounds,
+                                              console_progress("manifest")));
+        }
         Json stages = Json::array();
         for (std::size_t i = 0; i < recipe_.stages.size(); ++i)
             if (selected_[i])
@@ -737,16 +763,17 @@ Json run_recipe(const Recipe& recipe, const RunOptions& options)
     return Runner(recipe, options).run();
 }
 
-Json describe_output(const fs::path& path, const std::string& name, const std::string& stage)
+Json describe_output(const fs::path& path, const std::string& name, const std::string& stage,
+                     const std::optional<Bounds>& bounds, const Progress& progress)
 {
     Json entry = {{"path", name},
                   {"stage", stage},
                   {"bytes", static_cast<std::uint64_t>(fs::file_size(path))},
-                  {"hash", file_hash(path)}};
+                  {"hash", file_hash(path, progress)}};
     const std::string suffix = path.extension().string();
     if (suffix == ".vdb") {
         entry["kind"] = "scene";
-        for (const VdbGridInfo& grid : inspect_vdb(path).grids) {
+        for (const VdbGridInfo& grid : inspect_vdb(path, progress).grids) {
             Json g = {{"name", grid.name},
                       {"type", grid.type},
                       {"unit", grid.unit},
@@ -765,10 +792,9 @@ Json describe_output(const fs::path& path, const std::string& name, const std::s
         entry["unit"] = "m";
         entry["up"] = suffix == ".glb" ? "y" : "z";
         if (suffix == ".ply") {
-            const Bounds b = decode_ply(read_file(path, 1ull << 36), name).bounds();
-            if (!b.empty())
-                entry["bounds_m"] = {{b.lower.x, b.lower.y, b.lower.z},
-                                     {b.upper.x, b.upper.y, b.upper.z}};
+            const Bounds b =
+                bounds ? *bounds : decode_ply(read_file(path, 1ull << 36, progress), name).bounds();
+            if (!b.empty()) entry["bounds_m"] = bounds_json(b);
         }
     }
     return entry;

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <optional>
 #include <set>
 #include <string>
 
@@ -29,7 +30,9 @@ Json run_recipe(const Recipe& recipe, const RunOptions& options);
 std::vector<std::string> verify_manifest(const std::filesystem::path& manifest);
 
 /// An entry of the manifest: kind, size, hash, units and bounds of one output file.
+/// @param bounds  of a mesh, where they are known: reading a large file again for them takes long
 Json describe_output(const std::filesystem::path& path, const std::string& name,
-                     const std::string& stage);
+                     const std::string& stage, const std::optional<Bounds>& bounds = {},
+                     const Progress& progress = {});
 
 }  // namespace sekitei::apps

@@ -24,6 +24,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::size_t kBuffer = 1 << 20;
+constexpr std::size_t kChunk = 1 << 24;    // between looks at the wish to stop
 constexpr std::size_t kLongestName = 255;  // bytes, on every file system in use
 
 /// A descriptor that is closed when it goes out of scope.
@@ -325,11 +326,15 @@ void AtomicFile::commit()
         cannot_write(s.shown, fmt::format("cannot sync its folder: {}", reason(errno)));
 }
 
-void write_file(const fs::path& target, std::string_view bytes)
+void write_file(const fs::path& target, std::string_view bytes, const Progress& progress)
 {
     AtomicFile file(target);
     file.reserve(bytes.size());
-    file.write(bytes);
+    for (; !bytes.empty(); bytes.remove_prefix(std::min(kChunk, bytes.size()))) {
+        progress.check();
+        file.write(bytes.substr(0, kChunk));
+    }
+    progress.check();
     file.commit();
 }
 
@@ -371,7 +376,7 @@ std::size_t read_some(int fd, const fs::path& path, char* data, std::size_t byte
 
 }  // namespace
 
-std::string read_file(const fs::path& path, std::uint64_t limit)
+std::string read_file(const fs::path& path, std::uint64_t limit, const Progress& progress)
 {
     std::uint64_t size = 0;
     const Descriptor file(open_regular(path, size));
@@ -382,7 +387,9 @@ std::string read_file(const fs::path& path, std::uint64_t limit)
     std::string bytes(size, '\0');
     std::size_t have = 0;
     while (have < bytes.size()) {
-        const std::size_t n = read_some(file.get(), path, bytes.data() + have, bytes.size() - have);
+        progress.check();
+        const std::size_t n =
+            read_some(file.get(), path, bytes.data() + have, std::min(kChunk, bytes.size() - have));
         if (n == 0) break;  // shortened while it was read
         have += n;
     }
@@ -390,14 +397,16 @@ std::string read_file(const fs::path& path, std::uint64_t limit)
     return bytes;
 }
 
-std::string file_hash(const fs::path& path)
+std::string file_hash(const fs::path& path, const Progress& progress)
 {
     std::uint64_t size = 0;
     const Descriptor file(open_regular(path, size));
     Hasher hasher;
     std::vector<char> block(kBuffer);
-    while (const std::size_t n = read_some(file.get(), path, block.data(), block.size()))
+    while (const std::size_t n = read_some(file.get(), path, block.data(), block.size())) {
+        progress.check();
         hasher.add(block.data(), n);
+    }
     return hasher.hex();
 }
 

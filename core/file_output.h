@@ -6,6 +6,8 @@
 #include <string>
 #include <string_view>
 
+#include "core/progress.h"
+
 /// Files that are either the old one, whole, or the new one, whole.
 namespace sekitei {
 
@@ -41,8 +43,9 @@ private:
     State* state_;
 };
 
-/// Writes one small file atomically.
-void write_file(const std::filesystem::path& target, std::string_view bytes);
+/// Writes one file atomically; cancelled, the target is left as it was.
+void write_file(const std::filesystem::path& target, std::string_view bytes,
+                const Progress& progress = {});
 
 /// Fails now if `target` could not be written later: missing folder, folder read-only, target is a
 /// folder, a FIFO or a device.
@@ -51,10 +54,11 @@ void check_target(const std::filesystem::path& target);
 
 /// Reads a whole regular file of at most `limit` bytes.
 /// @throws InvalidInput  missing, not a regular file, unreadable, too large
-std::string read_file(const std::filesystem::path& path, std::uint64_t limit = 1ull << 32);
+std::string read_file(const std::filesystem::path& path, std::uint64_t limit = 1ull << 32,
+                      const Progress& progress = {});
 
 /// XXH3-128 of a file's bytes, in hexadecimal.
-std::string file_hash(const std::filesystem::path& path);
+std::string file_hash(const std::filesystem::path& path, const Progress& progress = {});
 
 /// Removes temporary files left in `folder` by processes that no longer run (a writer holds a lock
 /// on its own).

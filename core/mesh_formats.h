@@ -36,11 +36,11 @@ bool looks_like_off(std::string_view bytes);
 bool looks_like_stl(std::string_view bytes);
 bool looks_like_obj(std::string_view bytes);
 
-std::string write_ply(const TriMesh& mesh);
-std::string write_obj(const TriMesh& mesh);
-std::string write_off(const TriMesh& mesh);
-std::string write_stl(const TriMesh& mesh);
-std::string write_glb(const TriMesh& mesh);
+std::string write_ply(const TriMesh& mesh, const Progress& progress);
+std::string write_obj(const TriMesh& mesh, const Progress& progress);
+std::string write_off(const TriMesh& mesh, const Progress& progress);
+std::string write_stl(const TriMesh& mesh, const Progress& progress);
+std::string write_glb(const TriMesh& mesh, const Progress& progress);
 
 /// Triangulates, joins equal vertices, drops what has no area, agrees the orientation.
 /// @throws InvalidInput  vertices that are not numbers, nothing left

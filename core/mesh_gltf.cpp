@@ -50,14 +50,16 @@ struct Split {
     std::vector<std::uint32_t> triangle;  ///< one that uses it: where its face identities come from
 };
 
-Split split(const TriMesh& mesh, const std::vector<const std::vector<std::int32_t>*>& identities)
+Split split(const TriMesh& mesh, const std::vector<const std::vector<std::int32_t>*>& identities,
+            const Progress& progress)
 {
     // Copies of a vertex form a short list: a mesh vertex meets few columns.
     constexpr std::uint32_t kNone = std::numeric_limits<std::uint32_t>::max();
     Split out;
     std::vector<std::uint32_t> first(mesh.vertices.size(), kNone), next;
     out.indices.reserve(3 * mesh.triangles.size());
-    for (std::uint32_t t = 0; t < mesh.triangles.size(); ++t)
+    for (std::uint32_t t = 0; t < mesh.triangles.size(); ++t) {
+        progress.check();
         for (const std::uint32_t v : mesh.triangles[t]) {
             auto same = [&](std::uint32_t copy) {
                 return std::all_of(identities.begin(), identities.end(), [&](const auto* ids) {
@@ -76,11 +78,14 @@ Split split(const TriMesh& mesh, const std::vector<const std::vector<std::int32_
             } else
                 out.indices.push_back(*link);
         }
+    }
     return out;
 }
 
 class Writer {
 public:
+    explicit Writer(const Progress& progress) : progress_(progress) {}
+
     /// Adds an accessor over `count` elements of `components` floats each.
     template <class Value>
     int floats(std::size_t count, int components, const std::string& name, const Value& value,
@@ -90,7 +95,8 @@ public:
             upper(std::size_t(components), -INFINITY);
         const std::size_t offset = data_.size();
         std::size_t replaced = 0;
-        for (std::size_t i = 0; i < count; ++i)
+        for (std::size_t i = 0; i < count; ++i) {
+            progress_.check();
             for (int k = 0; k < components; ++k) {
                 float x = value(i, k);
                 if (!std::isfinite(x)) {
@@ -104,6 +110,7 @@ public:
                 upper[std::size_t(k)] = std::max(upper[std::size_t(k)], double(x));
                 append32(data_, std::bit_cast<std::uint32_t>(x));
             }
+        }
         if (replaced > 0)
             log::warning(
                 "glb: {} values of {} are not finite, which glTF forbids; written as 0 or "
@@ -125,7 +132,10 @@ public:
     int indices(const std::vector<std::uint32_t>& values)
     {
         const std::size_t offset = data_.size();
-        for (const std::uint32_t i : values) append32(data_, i);
+        for (const std::uint32_t i : values) {
+            progress_.check();
+            append32(data_, i);
+        }
         accessors_.push_back({{"bufferView", view(offset, kElementBuffer)},
                               {"componentType", int(kUnsignedInt)},
                               {"count", values.size()},
@@ -177,6 +187,7 @@ public:
     }
 
 private:
+    const Progress& progress_;
     std::string data_;
     Json accessors_ = Json::array(), views_ = Json::array();
 
@@ -192,16 +203,16 @@ private:
 
 }  // namespace
 
-std::string write_glb(const TriMesh& mesh)
+std::string write_glb(const TriMesh& mesh, const Progress& progress)
 {
     std::vector<const std::vector<std::int32_t>*> identities;
     for (const auto& [name, attribute] : mesh.face_attributes)
         if (const auto* ids = std::get_if<std::vector<std::int32_t>>(&attribute))
             identities.push_back(ids);
-    const Split corners = split(mesh, identities);
+    const Split corners = split(mesh, identities, progress);
     const std::size_t count = corners.vertex.size();
 
-    Writer writer;
+    Writer writer(progress);
     Json attributes;
     auto taken = [&](const std::string& name) {
         if (attributes.contains(name))
@@ -264,6 +275,7 @@ std::string write_glb(const TriMesh& mesh)
         std::vector<Vec3d> sum(count);
         std::vector<double> faces(count, 0);
         for (std::size_t c = 0; c < corners.indices.size(); ++c) {
+            progress.check();
             const std::uint32_t i = corners.indices[c];
             sum[i] += numbers ? Vec3d((*numbers)[c / 3], 0, 0)
                               : Vec3d(std::get<std::vector<Vec3f>>(attribute)[c / 3]);

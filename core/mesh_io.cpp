@@ -159,21 +159,21 @@ TriMesh decode_ply(std::string_view bytes, const std::string& name)
     return mend_reported(read_ply(bytes, name), nullptr);
 }
 
-std::string encode_mesh(const TriMesh& mesh, std::string_view extension)
+std::string encode_mesh(const TriMesh& mesh, std::string_view extension, const Progress& progress)
 {
     check(mesh);
-    if (extension == ".ply") return write_ply(mesh);
-    if (extension == ".obj") return write_obj(mesh);
-    if (extension == ".stl") return write_stl(mesh);
-    if (extension == ".off") return write_off(mesh);
-    if (extension == ".glb") return write_glb(mesh);
+    if (extension == ".ply") return write_ply(mesh, progress);
+    if (extension == ".obj") return write_obj(mesh, progress);
+    if (extension == ".stl") return write_stl(mesh, progress);
+    if (extension == ".off") return write_off(mesh, progress);
+    if (extension == ".glb") return write_glb(mesh, progress);
     throw InvalidParameter(fmt::format(
         "mesh file extension '{}', must be one of .ply .obj .stl .off .glb", extension));
 }
 
-void write_mesh(const std::filesystem::path& path, const TriMesh& mesh)
+void write_mesh(const std::filesystem::path& path, const TriMesh& mesh, const Progress& progress)
 {
-    write_file(path, encode_mesh(mesh, extension_of(path)));
+    write_file(path, encode_mesh(mesh, extension_of(path), progress), progress);
 }
 
 }  // namespace sekitei

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "core/mesh.h"
+#include "core/progress.h"
 
 /// Mesh files in and out.
 namespace sekitei {
@@ -50,10 +51,13 @@ TriMesh decode_mesh(std::string_view bytes, const std::string& name,
 /// @throws InvalidInput  no triangles, vertices not finite, attributes of the wrong length
 /// @throws InvalidParameter  unknown extension
 /// @throws IoError
-void write_mesh(const std::filesystem::path& path, const TriMesh& mesh);
+/// @throws Cancelled  from `progress`; the target is left as it was
+void write_mesh(const std::filesystem::path& path, const TriMesh& mesh,
+                const Progress& progress = {});
 
 /// The bytes write_mesh() would write; `extension` with its dot.
-std::string encode_mesh(const TriMesh& mesh, std::string_view extension);
+std::string encode_mesh(const TriMesh& mesh, std::string_view extension,
+                        const Progress& progress = {});
 
 /// Reads PLY bytes (for pipes); `name` is used in messages.
 TriMesh decode_ply(std::string_view bytes, const std::string& name);

@@ -216,7 +216,7 @@ Polygons read_obj(std::string_view bytes, const std::string& name)
     return Reader(bytes, name).read();
 }
 
-std::string write_obj(const TriMesh& mesh)
+std::string write_obj(const TriMesh& mesh, const Progress& progress)
 {
     auto vectors = [&](const char* name) -> const std::vector<Vec3f>* {
         const auto found = mesh.vertex_attributes.find(name);
@@ -229,6 +229,7 @@ std::string write_obj(const TriMesh& mesh)
     std::string out = "# Sekitei: metres, z up\n";
     auto to = std::back_inserter(out);
     for (std::size_t i = 0; i < mesh.vertices.size(); ++i) {
+        progress.check();
         const Vec3f v = mesh.vertices[i];
         fmt::format_to(to, "v {} {} {}", v.x, v.y, v.z);
         if (colours) {
@@ -238,7 +239,10 @@ std::string write_obj(const TriMesh& mesh)
         out += '\n';
     }
     if (normals)
-        for (const Vec3f& n : *normals) fmt::format_to(to, "vn {} {} {}\n", n.x, n.y, n.z);
+        for (const Vec3f& n : *normals) {
+            progress.check();
+            fmt::format_to(to, "vn {} {} {}\n", n.x, n.y, n.z);
+        }
 
     // Faces in their order, or column by column.
     std::vector<std::uint32_t> order(mesh.triangles.size());
@@ -248,9 +252,11 @@ std::string write_obj(const TriMesh& mesh)
         column = std::get_if<std::vector<std::int32_t>>(&found->second);
     if (column)
         std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) {
+            progress.check();
             return (*column)[a] < (*column)[b];
         });
     for (std::size_t i = 0; i < order.size(); ++i) {
+        progress.check();
         const std::uint32_t t = order[i];
         if (column && (i == 0 || (*column)[t] != (*column)[order[i - 1]]))
             (*column)[t] < 0 ? fmt::format_to(to, "g column_{}\n", (*column)[t])

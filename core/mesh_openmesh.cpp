@@ -322,12 +322,18 @@ Polygons read_off(std::string_view bytes, const std::string& name)
     return out;
 }
 
-std::string write_off(const TriMesh& mesh)
+std::string write_off(const TriMesh& mesh, const Progress& progress)
 {
     std::string out = fmt::format("OFF\n{} {} 0\n", mesh.vertices.size(), mesh.triangles.size());
     auto to = std::back_inserter(out);
-    for (const Vec3f& v : mesh.vertices) fmt::format_to(to, "{} {} {}\n", v.x, v.y, v.z);
-    for (const auto& [a, b, c] : mesh.triangles) fmt::format_to(to, "3 {} {} {}\n", a, b, c);
+    for (const Vec3f& v : mesh.vertices) {
+        progress.check();
+        fmt::format_to(to, "{} {} {}\n", v.x, v.y, v.z);
+    }
+    for (const auto& [a, b, c] : mesh.triangles) {
+        progress.check();
+        fmt::format_to(to, "3 {} {} {}\n", a, b, c);
+    }
     return out;
 }
 
@@ -381,7 +387,7 @@ Polygons read_stl(std::string_view bytes, const std::string& name)
     return out;
 }
 
-std::string write_stl(const TriMesh& mesh)
+std::string write_stl(const TriMesh& mesh, const Progress& progress)
 {
     if (mesh.triangles.size() > std::numeric_limits<std::uint32_t>::max())
         throw LimitExceeded("stl: more than 4.29 billion triangles");
@@ -390,6 +396,7 @@ std::string write_stl(const TriMesh& mesh)
     append32(out, static_cast<std::uint32_t>(mesh.triangles.size()));
     out.reserve(kStlHeader + kStlTriangle * mesh.triangles.size());
     for (const auto& triangle : mesh.triangles) {
+        progress.check();
         const Vec3d a(mesh.vertices[triangle[0]]);
         const Vec3f normal(normalized(
             cross(Vec3d(mesh.vertices[triangle[1]]) - a, Vec3d(mesh.vertices[triangle[2]]) - a)));

@@ -9,6 +9,7 @@
 
 #include "core/error.h"
 #include "core/mesh_formats.h"
+#include "core/parallel.h"
 
 // PLY is read by code of our own: OpenMesh 9 believes the counts of the header before it looks at
 // the file, keeps custom properties only of types and names registered beforehand, and tells no
@@ -513,7 +514,9 @@ private:
 
 void append32(std::string& out, std::uint32_t bits)
 {
-    for (int i = 0; i < 4; ++i) out += static_cast<char>(bits >> 8 * i & 0xFF);
+    char bytes[4];
+    for (int i = 0; i < 4; ++i) bytes[i] = static_cast<char>(bits >> 8 * i & 0xFF);
+    out.append(bytes, 4);
 }
 
 void append_float(std::string& out, float value)
@@ -574,6 +577,26 @@ void append_row(std::string& out, const Attributes& attributes, std::size_t i)
     }
 }
 
+/// Appends `count` rows of one length, each made by write(row, i), on all cores.
+template <class Write>
+void append_rows(std::string& out, std::size_t count, const Progress& progress, Write&& write)
+{
+    if (count == 0) return;
+    constexpr std::size_t kRows = 1 << 16;
+    std::string first;
+    write(first, 0);
+    const std::size_t begin = out.size();
+    out.resize(begin + count * first.size());
+    parallel_for((count + kRows - 1) / kRows, [&](std::size_t chunk) {
+        progress.check();
+        std::string rows;
+        rows.reserve(kRows * first.size());
+        for (std::size_t i = chunk * kRows; i < std::min(count, (chunk + 1) * kRows); ++i)
+            write(rows, i);
+        rows.copy(out.data() + begin + chunk * kRows * first.size(), rows.size());
+    });
+}
+
 }  // namespace
 
 bool looks_like_ply(std::string_view bytes)
@@ -586,7 +609,7 @@ Polygons read_ply(std::string_view bytes, const std::string& name)
     return Reader(bytes, name).read();
 }
 
-std::string write_ply(const TriMesh& mesh)
+std::string write_ply(const TriMesh& mesh, const Progress& progress)
 {
     std::string out = fmt::format(
         "ply\nformat binary_little_endian 1.0\ncomment Sekitei: metres, z up\nelement vertex {}\n"
@@ -597,15 +620,15 @@ std::string write_ply(const TriMesh& mesh)
                        mesh.triangles.size());
     declare(out, mesh.face_attributes, {"vertex_indices"});
     out += "end_header\n";
-    for (std::size_t i = 0; i < mesh.vertices.size(); ++i) {
-        for (int k = 0; k < 3; ++k) append_float(out, mesh.vertices[i][k]);
-        append_row(out, mesh.vertex_attributes, i);
-    }
-    for (std::size_t t = 0; t < mesh.triangles.size(); ++t) {
-        out += '\x03';
-        for (const std::uint32_t v : mesh.triangles[t]) append32(out, v);
-        append_row(out, mesh.face_attributes, t);
-    }
+    append_rows(out, mesh.vertices.size(), progress, [&](std::string& row, std::size_t i) {
+        for (int k = 0; k < 3; ++k) append_float(row, mesh.vertices[i][k]);
+        append_row(row, mesh.vertex_attributes, i);
+    });
+    append_rows(out, mesh.triangles.size(), progress, [&](std::string& row, std::size_t t) {
+        row += '\x03';
+        for (const std::uint32_t v : mesh.triangles[t]) append32(row, v);
+        append_row(row, mesh.face_attributes, t);
+    });
     return out;
 }
 

@@ -52,13 +52,14 @@ const G& grid_of(const Scene& scene, const std::string& name, const char* wanted
 
 /// Independent of how leaves are represented: constant or not, present or left out as background.
 template <class T>
-std::string hash_of(const LeafGrid<T>& grid)
+std::string hash_of(const LeafGrid<T>& grid, const Progress& progress)
 {
     std::vector<std::uint64_t> leaves(grid.leaf_count());
     std::vector<std::uint8_t> counts(grid.leaf_count());
     parallel_for(
         grid.leaf_count(),
         [&](std::size_t i) {
+            progress.check();
             const vdb::LeafKind kind = vdb::leaf_kind(grid, i);
             if (kind == vdb::LeafKind::Empty) return;
             counts[i] = 1;
@@ -162,9 +163,9 @@ void Scene::put(const std::string& name, VectorGrid grid, std::string unit, std:
                        .vector_type = std::move(vector_type)};
 }
 
-std::string content_hash(const Grid& grid)
+std::string content_hash(const Grid& grid, const Progress& progress)
 {
-    return std::visit(Overloaded{[](const auto& g) { return hash_of(g); },
+    return std::visit(Overloaded{[&](const auto& g) { return hash_of(g, progress); },
                                  [](const std::shared_ptr<const ForeignGrid>& g) {
                                      Hasher hasher;
                                      if (!g) return hasher.hex();

@@ -9,6 +9,7 @@
 
 #include "core/mesh.h"
 #include "core/params.h"
+#include "core/progress.h"
 #include "grids/leaf_grid.h"
 
 /// What travels between stages: named grids, points and meshes, and how they were made.
@@ -76,7 +77,7 @@ struct Scene {
 };
 
 /// Hash of a grid's transform, topology, masks and values (XXH3-128, hexadecimal).
-std::string content_hash(const Grid& grid);
+std::string content_hash(const Grid& grid, const Progress& progress = {});
 std::string content_hash(const Points& points);
 
 }  // namespace sekitei

@@ -102,6 +102,18 @@ void with_json(const Header& header, const std::string& file, const std::string&
     }
 }
 
+constexpr std::size_t kChunk = 1 << 24;  // bytes between looks at the wish to stop
+
+/// Calls use(part) for each part of `bytes` in turn.
+template <class Use>
+void by_chunks(std::string_view bytes, const Progress& progress, Use&& use)
+{
+    for (; !bytes.empty(); bytes.remove_prefix(std::min(kChunk, bytes.size()))) {
+        progress.check();
+        use(bytes.substr(0, kChunk));
+    }
+}
+
 // --- writing ----------------------------------------------------------------------------------
 
 /// Where bytes go for a pipe: the same calls as AtomicFile.
@@ -174,7 +186,8 @@ ActiveBox active_box(const LeafGrid<T>& grid)
 }
 
 template <class T>
-RawGrid encode_values(const LeafGrid<T>& given, const Grid& grid, bool half)
+RawGrid encode_values(const LeafGrid<T>& given, const Grid& grid, bool half,
+                      const Progress& progress)
 {
     const Transform& t = given.transform();
     if (!(t.voxel > 0) || !std::isfinite(t.voxel) || !std::isfinite(length(t.origin)))
@@ -189,7 +202,7 @@ RawGrid encode_values(const LeafGrid<T>& given, const Grid& grid, bool half)
             values = &halves;
         }
     }
-    RawGrid raw = vdb::encode_tree(*values, half);
+    RawGrid raw = vdb::encode_tree(*values, half, progress);
     put_extra(raw.meta, grid.extra);
     const ActiveBox box = active_box(*values);
     raw.meta["file_bbox_min"] = vdb::value_meta("vec3i", box.lower);
@@ -202,22 +215,22 @@ RawGrid encode_values(const LeafGrid<T>& given, const Grid& grid, bool half)
     if (raw.half) {
         Grid copy;
         copy.values = std::move(halves);
-        raw.meta["sekitei:hash"] = vdb::text_meta(content_hash(copy));
+        raw.meta["sekitei:hash"] = vdb::text_meta(content_hash(copy, progress));
     } else
-        raw.meta["sekitei:hash"] = vdb::text_meta(content_hash(grid));
+        raw.meta["sekitei:hash"] = vdb::text_meta(content_hash(grid, progress));
     return raw;
 }
 
-RawGrid encode_grid(const std::string& name, const Grid& grid, bool half)
+RawGrid encode_grid(const std::string& name, const Grid& grid, bool half, const Progress& progress)
 {
     RawGrid raw;
     try {
         if (const auto* f = std::get_if<FloatGrid>(&grid.values))
-            raw = encode_values(*f, grid, half);
+            raw = encode_values(*f, grid, half, progress);
         else if (const auto* i = std::get_if<IntGrid>(&grid.values))
-            raw = encode_values(*i, grid, half);
+            raw = encode_values(*i, grid, half, progress);
         else if (const auto* v = std::get_if<VectorGrid>(&grid.values))
-            raw = encode_values(*v, grid, half);
+            raw = encode_values(*v, grid, half, progress);
         else {
             const auto& foreign = std::get<std::shared_ptr<const ForeignGrid>>(grid.values);
             if (!foreign) throw InvalidInput("has no values");
@@ -247,7 +260,8 @@ std::string bytes_hash(std::string_view unique, std::string_view type, std::stri
 
 /// Writes the scene; returns the file's UUID.
 template <class Out>
-std::string write_scene(Out& out, const Scene& scene, const WriteOptions& options)
+std::string write_scene(Out& out, const Scene& scene, const WriteOptions& options,
+                        const Progress& progress)
 {
     for (const auto& [name, points] : scene.points)
         if (scene.grids.contains(name))
@@ -264,8 +278,10 @@ std::string write_scene(Out& out, const Scene& scene, const WriteOptions& option
 
     Hasher whole;
     auto emit = [&](std::string_view bytes) {
-        whole.add(bytes.data(), bytes.size());
-        out.write(bytes);
+        by_chunks(bytes, progress, [&](std::string_view part) {
+            whole.add(part.data(), part.size());
+            out.write(part);
+        });
     };
     const std::string header = vdb::encode_header(meta, scene.grids.size() + scene.points.size());
     whole.add(header.data(), vdb::kUuidPosition);
@@ -282,7 +298,8 @@ std::string write_scene(Out& out, const Scene& scene, const WriteOptions& option
         const std::string blank = vdb::encode_front(raw);
         hasher.add(blank.data(), blank.size());
         hasher.add(raw.topology.data(), raw.topology.size());
-        hasher.add(raw.buffers.data(), raw.buffers.size());
+        by_chunks(raw.buffers, progress,
+                  [&](std::string_view part) { hasher.add(part.data(), part.size()); });
         raw.meta["sekitei:bytes"] = vdb::text_meta(hasher.hex());
         const std::string descriptor = vdb::encode_descriptor(name, raw, out.size());
         const std::string front = vdb::encode_front(raw);
@@ -293,8 +310,13 @@ std::string write_scene(Out& out, const Scene& scene, const WriteOptions& option
         emit(raw.topology);
         emit(raw.buffers);
     };
-    for (const auto& [name, grid] : scene.grids)
-        emit_grid(name, encode_grid(name, grid, options.half));
+    const double steps = static_cast<double>(std::max<std::size_t>(1, scene.grids.size()));
+    double step = 0;
+    for (const auto& [name, grid] : scene.grids) {
+        emit_grid(name, encode_grid(name, grid, options.half,
+                                    progress.slice(step / steps, (step + 1) / steps)));
+        ++step;
+    }
     for (const auto& [name, points] : scene.points) {
         RawGrid raw = vdb::encode_points(name, points);
         raw.meta["class"] = vdb::text_meta("unknown");
@@ -309,9 +331,14 @@ std::string write_scene(Out& out, const Scene& scene, const WriteOptions& option
 
 // --- reading ----------------------------------------------------------------------------------
 
-std::string uuid_of(std::string_view bytes)
+std::string uuid_of(std::string_view bytes, const Progress& progress)
 {
-    return vdb::content_uuid(bytes.substr(0, vdb::kUuidPosition), bytes.substr(kUuidEnd));
+    Hasher hasher;
+    for (const std::string_view side :
+         {bytes.substr(0, vdb::kUuidPosition), bytes.substr(kUuidEnd)})
+        by_chunks(side, progress,
+                  [&](std::string_view part) { hasher.add(part.data(), part.size()); });
+    return vdb::uuid_from_hash(hasher.hex());
 }
 
 /// Whether the bytes of one grid of our own file are as they were written.
@@ -338,9 +365,10 @@ std::vector<std::string> damaged_grids(std::string_view bytes, const Header& hea
 
 /// Whether Sekitei wrote these bytes, and nothing changed since.
 /// @throws InvalidInput  it did, and something has
-bool is_own_and_whole(std::string_view bytes, const Header& header, const std::string& file)
+bool is_own_and_whole(std::string_view bytes, const Header& header, const std::string& file,
+                      const Progress& progress)
 {
-    const std::string expected = uuid_of(bytes);
+    const std::string expected = uuid_of(bytes, progress);
     if (header.uuid == expected) return true;
     // A foreign program makes a random UUID; ours stays recognisable with flipped bits.
     if (!vdb::is_own_uuid(header.uuid)) return false;
@@ -400,12 +428,13 @@ struct Found {
 /// Counts voxels where `bad` holds and remembers the first. Background values mean "no value" and
 /// are let through, so that a grid of times may have infinity there.
 template <class T, class Bad>
-Found count_where(const LeafGrid<T>& grid, Bad&& bad)
+Found count_where(const LeafGrid<T>& grid, const Progress& progress, Bad&& bad)
 {
     const T none = grid.background();
     return parallel_fold(
         grid.leaf_count(), 512, Found{},
         [&](std::size_t begin, std::size_t end) {
+            progress.check();
             Found f;
             for (std::size_t i = begin; i < end; ++i) {
                 const bool constant = grid.is_constant(i);
@@ -431,9 +460,9 @@ Found count_where(const LeafGrid<T>& grid, Bad&& bad)
 /// Refuses, or mends, values that no stage can compute with.
 template <class T>
 void check_values(LeafGrid<T>& grid, const std::string& where, const std::string& name,
-                  const std::string& unit, bool fix_nan)
+                  const std::string& unit, bool fix_nan, const Progress& progress)
 {
-    const Found bad = count_where(grid, [](const T& x) { return !finite(x); });
+    const Found bad = count_where(grid, progress, [](const T& x) { return !finite(x); });
     auto at = [&](const Found& f) {
         const Coord c = leaf_coord(grid.origin(f.leaf), f.offset);
         return fmt::format("({}, {}, {})", c.x, c.y, c.z);
@@ -466,7 +495,7 @@ void check_values(LeafGrid<T>& grid, const std::string& where, const std::string
     }
     const bool kelvin = unit == "K" || name == "temperature" || name == "air_T";
     constexpr float kMost = 1e30f;
-    const Found range = count_where(grid, [&](const T& x) {
+    const Found range = count_where(grid, progress, [&](const T& x) {
         const float m = largest(x);
         return m > kMost || (kelvin && m > 0 && m < std::numeric_limits<float>::min());
     });
@@ -498,16 +527,16 @@ struct Budget {
 
 template <class T>
 LeafGrid<T> read_values(std::string_view bytes, const Header& header, const Entry& entry,
-                        const std::string& where, Budget& budget)
+                        const std::string& where, Budget& budget, const Progress& progress)
 {
-    LeafGrid<T> grid =
-        vdb::decode_tree<T>(bytes, header, entry, transform_of(entry), where, budget.left);
+    LeafGrid<T> grid = vdb::decode_tree<T>(bytes, header, entry, transform_of(entry), where,
+                                           budget.left, progress);
     budget.take(static_cast<double>(grid.memory_bytes()));
     return grid;
 }
 
 Grid read_grid(std::string_view bytes, const Header& header, const Entry& entry,
-               const std::string& where, Budget& budget)
+               const std::string& where, Budget& budget, const Progress& progress = {})
 {
     Grid grid;
     grid.grid_class = class_of(vdb::meta_text(entry.meta, "class"));
@@ -544,11 +573,11 @@ Grid read_grid(std::string_view bytes, const Header& header, const Entry& entry,
                 ? "a frustum"
                 : "not uniform, rotated, sheared or mirrored"));
     if (entry.type == vdb::tree_type<float>())
-        grid.values = read_values<float>(bytes, header, entry, where, budget);
+        grid.values = read_values<float>(bytes, header, entry, where, budget, progress);
     else if (entry.type == vdb::tree_type<Vec3f>())
-        grid.values = read_values<Vec3f>(bytes, header, entry, where, budget);
+        grid.values = read_values<Vec3f>(bytes, header, entry, where, budget, progress);
     else
-        grid.values = read_values<std::int32_t>(bytes, header, entry, where, budget);
+        grid.values = read_values<std::int32_t>(bytes, header, entry, where, budget, progress);
     return grid;
 }
 
@@ -587,10 +616,11 @@ std::vector<std::pair<std::string, const Entry*>> choose(const Header& header,
     return chosen;
 }
 
-Scene read_bytes(std::string_view bytes, const std::string& file, const ReadOptions& options)
+Scene read_bytes(std::string_view bytes, const std::string& file, const ReadOptions& options,
+                 const Progress& progress)
 {
     const Header header = vdb::parse_header(bytes, file);
-    const bool own = options.check_hashes && is_own_and_whole(bytes, header, file);
+    const bool own = options.check_hashes && is_own_and_whole(bytes, header, file, progress);
     Scene scene;
     with_json(header, file, "sekitei:history",
               [&](const Json& j) { scene.history = history_from(j); });
@@ -601,7 +631,10 @@ Scene read_bytes(std::string_view bytes, const std::string& file, const ReadOpti
 
     const double allowed = options.memory_limit > 0 ? options.memory_limit : physical_memory();
     Budget budget{allowed - static_cast<double>(bytes.size())};
-    for (const auto& [name, entry] : choose(header, file, options.only)) {
+    const auto chosen = choose(header, file, options.only);
+    double step = 0;
+    for (const auto& [name, entry] : chosen) {
+        progress.update(step++ / static_cast<double>(chosen.size()));
         const std::string where = fmt::format("{}: grid {}", file, entry->shown);
         const std::string hash = vdb::meta_text(entry->meta, "sekitei:hash");
         std::string found;
@@ -616,12 +649,12 @@ Scene read_bytes(std::string_view bytes, const std::string& file, const ReadOpti
             scene.points[name] = std::move(points);
         } else {
             if (!is_leaf_grid(*entry) && !options.keep_foreign) continue;
-            Grid grid = read_grid(bytes, header, *entry, where, budget);
-            if (!own && !hash.empty()) found = content_hash(grid);
+            Grid grid = read_grid(bytes, header, *entry, where, budget, progress);
+            if (!own && !hash.empty()) found = content_hash(grid, progress);
             if (auto* f = std::get_if<FloatGrid>(&grid.values))
-                check_values(*f, where, name, grid.unit, options.fix_nan);
+                check_values(*f, where, name, grid.unit, options.fix_nan, progress);
             if (auto* v = std::get_if<VectorGrid>(&grid.values))
-                check_values(*v, where, name, grid.unit, options.fix_nan);
+                check_values(*v, where, name, grid.unit, options.fix_nan, progress);
             scene.grids[name] = std::move(grid);
         }
         // Another program wrote the file and kept our mark: what it changed is its own business.
@@ -632,8 +665,18 @@ Scene read_bytes(std::string_view bytes, const std::string& file, const ReadOpti
     return scene;
 }
 
+/// hash_hex() that can be stopped.
+std::string hash_of(std::string_view bytes, const Progress& progress)
+{
+    Hasher hasher;
+    by_chunks(bytes, progress,
+              [&](std::string_view part) { hasher.add(part.data(), part.size()); });
+    return hasher.hex();
+}
+
 /// The VDB inside a frame that a shell put into a file.
-std::string_view unframed(std::string_view bytes, const std::string& file)
+std::string_view unframed(std::string_view bytes, const std::string& file,
+                          const Progress& progress = {})
 {
     if (!bytes.starts_with(kFrameMagic)) return bytes;
     std::uint64_t length = 0;
@@ -644,12 +687,12 @@ std::string_view unframed(std::string_view bytes, const std::string& file)
         throw InvalidInput(fmt::format("{}: truncated: the frame says {} bytes, {} came", file,
                                        length + begin + kNoHash.size(), bytes.size()));
     const std::string_view inside = bytes.substr(begin, length);
-    if (hash_hex(inside) != bytes.substr(begin + length))
+    if (hash_of(inside, progress) != bytes.substr(begin + length))
         throw InvalidInput(file + ": damaged on its way: hash mismatch");
     return inside;
 }
 
-std::string load(const fs::path& path, double memory_limit)
+std::string load(const fs::path& path, double memory_limit, const Progress& progress = {})
 {
     std::error_code ignored;
     const auto size = fs::file_size(path, ignored);
@@ -658,12 +701,13 @@ std::string load(const fs::path& path, double memory_limit)
         throw LimitExceeded(fmt::format("{}: has {}, allowed are {}; raise --memory", path.string(),
                                         bytes_text(static_cast<double>(size)),
                                         bytes_text(allowed)));
-    return read_file(path, std::numeric_limits<std::uint64_t>::max());
+    return read_file(path, std::numeric_limits<std::uint64_t>::max(), progress);
 }
 
-void write_all(int fd, std::string_view bytes)
+void write_all(int fd, std::string_view bytes, const Progress& progress)
 {
     while (!bytes.empty()) {
+        progress.check();
         const ssize_t n = ::write(fd, bytes.data(), bytes.size());
         if (n < 0 && errno == EINTR) continue;
         if (n <= 0)
@@ -676,40 +720,45 @@ void write_all(int fd, std::string_view bytes)
 
 }  // namespace
 
-Scene read_vdb(const fs::path& path, const ReadOptions& options)
+Scene read_vdb(const fs::path& path, const ReadOptions& options, const Progress& progress)
 {
-    const std::string bytes = load(path, options.memory_limit);
-    return read_bytes(unframed(bytes, path.string()), path.string(), options);
+    const std::string bytes = load(path, options.memory_limit, progress);
+    return read_bytes(unframed(bytes, path.string(), progress), path.string(), options, progress);
 }
 
-void write_vdb(const fs::path& path, const Scene& scene, const WriteOptions& options)
+void write_vdb(const fs::path& path, const Scene& scene, const WriteOptions& options,
+               const Progress& progress)
 {
     AtomicFile file(path);
-    const std::string uuid = write_scene(file, scene, options);
+    const std::string uuid = write_scene(file, scene, options, progress.slice(0, 0.8));
     file.set_verifier([&](const fs::path& temporary) {
-        const std::string bytes = load(temporary, 0);
+        progress.update(0.9);
+        const std::string bytes = load(temporary, 0, progress);
         const Header header = vdb::parse_header(bytes, path.string());
-        if (header.uuid != uuid || uuid_of(bytes) != uuid)
+        if (header.uuid != uuid || uuid_of(bytes, progress) != uuid)
             throw IoError(fmt::format(
                 "cannot write {}: what was read back differs from what was written; check the disk",
                 path.string()));
     });
+    progress.update(0.8);
     file.commit();
 }
 
-void write_vdb_stream(int file_descriptor, const Scene& scene)
+void write_vdb_stream(int file_descriptor, const Scene& scene, const Progress& progress)
 {
     MemoryFile file;
-    write_scene(file, scene, {});
+    write_scene(file, scene, {}, progress.slice(0, 0.5));
     const std::uint64_t length = file.bytes.size();
     std::string head(kFrameMagic);
     head.append(reinterpret_cast<const char*>(&length), sizeof length);
-    write_all(file_descriptor, head);
-    write_all(file_descriptor, file.bytes);
-    write_all(file_descriptor, hash_hex(file.bytes));
+    write_all(file_descriptor, head, progress);
+    by_chunks(file.bytes, progress,
+              [&](std::string_view part) { write_all(file_descriptor, part, progress); });
+    write_all(file_descriptor, hash_of(file.bytes, progress), progress);
 }
 
-Scene read_vdb_stream(int file_descriptor, const ReadOptions& options, std::string already_read)
+Scene read_vdb_stream(int file_descriptor, const ReadOptions& options, std::string already_read,
+                      const Progress& progress)
 {
     constexpr const char* kName = "standard input";
     std::string bytes = std::move(already_read);
@@ -734,20 +783,22 @@ Scene read_vdb_stream(int file_descriptor, const ReadOptions& options, std::stri
         bytes.resize(have +
                      static_cast<std::size_t>(std::min<std::uint64_t>(block, wanted - have)));
         ssize_t n = 0;
-        do n = ::read(file_descriptor, bytes.data() + have, bytes.size() - have);
-        while (n < 0 && errno == EINTR);
+        do {
+            progress.check();
+            n = ::read(file_descriptor, bytes.data() + have, bytes.size() - have);
+        } while (n < 0 && errno == EINTR);
         if (n < 0)
             throw InvalidInput(fmt::format("{}: cannot read: {}", kName, std::strerror(errno)));
         bytes.resize(have + static_cast<std::size_t>(n));
         if (n == 0) break;
     }
-    return read_bytes(unframed(bytes, kName), kName, options);
+    return read_bytes(unframed(bytes, kName, progress), kName, options, progress);
 }
 
-VdbFileInfo inspect_vdb(const fs::path& path)
+VdbFileInfo inspect_vdb(const fs::path& path, const Progress& progress)
 {
-    const std::string file = load(path, 0);
-    const std::string_view bytes = unframed(file, path.string());
+    const std::string file = load(path, 0, progress);
+    const std::string_view bytes = unframed(file, path.string(), progress);
     const Header header = vdb::parse_header(bytes, path.string());
     VdbFileInfo info;
     info.bytes = bytes.size();
@@ -802,7 +853,7 @@ VerifyResult verify_vdb(const fs::path& path)
     const std::string_view bytes = unframed(file, path.string());
     const Header header = vdb::parse_header(bytes, path.string());
     VerifyResult result;
-    const bool whole = header.uuid == uuid_of(bytes);
+    const bool whole = header.uuid == uuid_of(bytes, {});
     if (!whole && vdb::is_own_uuid(header.uuid)) {
         result.damaged = damaged_grids(bytes, header);
         if (result.damaged.empty()) result.damaged.push_back("(header)");

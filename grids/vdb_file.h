@@ -31,7 +31,9 @@ struct ReadOptions {
 /// @throws InvalidInput   truncated, damaged, not a VDB, wrong version, hash mismatch, NaN voxels,
 ///                        non-uniform transform; names file, grid, value, expectation and remedy
 /// @throws LimitExceeded  would need more memory than allowed
-Scene read_vdb(const std::filesystem::path& path, const ReadOptions& options = {});
+/// @throws Cancelled      from `progress`, looked at for every few megabytes
+Scene read_vdb(const std::filesystem::path& path, const ReadOptions& options = {},
+               const Progress& progress = {});
 
 struct WriteOptions {
     bool half = false;  ///< 16-bit floats, for export
@@ -39,14 +41,16 @@ struct WriteOptions {
 
 /// Writes grids, points and history. Equal scenes give equal bytes: the file's UUID is a hash of
 /// its content.
-/// @throws IoError  the target is left as it was
+/// @throws IoError    the target is left as it was
+/// @throws Cancelled  from `progress`, looked at for every few megabytes; the same
 void write_vdb(const std::filesystem::path& path, const Scene& scene,
-               const WriteOptions& options = {});
+               const WriteOptions& options = {}, const Progress& progress = {});
 
 /// The framed form for pipes: magic, length, VDB bytes, hash trailer. Truncation is detected.
-void write_vdb_stream(int file_descriptor, const Scene& scene);
+/// A cancelled write may have sent a part, which its reader refuses.
+void write_vdb_stream(int file_descriptor, const Scene& scene, const Progress& progress = {});
 Scene read_vdb_stream(int file_descriptor, const ReadOptions& options = {},
-                      std::string already_read = "");
+                      std::string already_read = "", const Progress& progress = {});
 
 /// What a file holds, read without loading values.
 struct VdbGridInfo {
@@ -64,7 +68,7 @@ struct VdbFileInfo {
     std::vector<VdbGridInfo> grids;
     std::vector<HistoryEntry> history;
 };
-VdbFileInfo inspect_vdb(const std::filesystem::path& path);
+VdbFileInfo inspect_vdb(const std::filesystem::path& path, const Progress& progress = {});
 
 /// Reads everything and compares each grid with its sekitei:hash; returns the names that differ or
 /// carry no hash.

@@ -784,7 +784,8 @@ double leaves_in(int edge)
 
 template <class T>
 LeafGrid<T> decode_tree(std::string_view bytes, const Header& header, const Entry& entry,
-                        const Transform& transform, const std::string& where, double memory)
+                        const Transform& transform, const std::string& where, double memory,
+                        const Progress& progress)
 {
     // A tree shared with another grid is stored once, with that grid.
     const Entry* source = &entry;
@@ -840,6 +841,7 @@ LeafGrid<T> decode_tree(std::string_view bytes, const Header& header, const Entr
     Cursor scan(bytes.substr(0, source->end), where, source->blocks);
     std::vector<std::size_t> begins(nodes.leaves.size());
     for (std::size_t i = 0; i < nodes.leaves.size(); ++i) {
+        progress.check();
         LeafMask mask;
         std::memcpy(&mask, scan.take(sizeof mask), sizeof mask);
         if (std::memcmp(&mask, bytes.data() + nodes.masks[i], sizeof mask) != 0)
@@ -851,6 +853,7 @@ LeafGrid<T> decode_tree(std::string_view bytes, const Header& header, const Entr
     parallel_for(
         nodes.leaves.size(),
         [&](std::size_t i) {
+            progress.check();
             const std::uint32_t leaf = shape->find(nodes.leaves[i]);
             std::memcpy(&grid.mask(leaf), bytes.data() + nodes.masks[i], sizeof(LeafMask));
             Cursor in(bytes.substr(0, source->end), where, begins[i]);
@@ -881,7 +884,7 @@ LeafKind leaf_kind(const LeafGrid<T>& grid, std::size_t leaf)
 }
 
 template <class T>
-RawGrid encode_tree(const LeafGrid<T>& grid, bool half)
+RawGrid encode_tree(const LeafGrid<T>& grid, bool half, const Progress& progress)
 {
     RawGrid raw;
     raw.type = tree_type<T>();
@@ -985,6 +988,7 @@ RawGrid encode_tree(const LeafGrid<T>& grid, bool half)
 
         std::vector<std::string> parts(lows.size());
         parallel_for(lows.size(), [&](std::size_t n) {
+            progress.check();
             const Low& low = lows[n];
             if (low.tile) return;
             std::vector<std::uint64_t> low_children(kLowSlots / 64), low_active(kLowSlots / 64);
@@ -1018,6 +1022,7 @@ RawGrid encode_tree(const LeafGrid<T>& grid, bool half)
     constexpr std::size_t kBatch = 8192, kPiece = 32;
     static constexpr std::uint64_t kNoChildren[kLeafSize / 64] = {};
     for (std::size_t begin = 0; begin < leaves.size(); begin += kBatch) {
+        progress.update(double(begin) / double(leaves.size()));
         const std::size_t count = std::min(kBatch, leaves.size() - begin);
         std::vector<std::string> parts((count + kPiece - 1) / kPiece);
         parallel_for(parts.size(), [&](std::size_t n) {
@@ -1064,14 +1069,15 @@ LeafGrid<T> truncated_to_half(const LeafGrid<T>& grid)
 }
 
 template LeafGrid<float> decode_tree(std::string_view, const Header&, const Entry&,
-                                     const Transform&, const std::string&, double);
+                                     const Transform&, const std::string&, double, const Progress&);
 template LeafGrid<std::int32_t> decode_tree(std::string_view, const Header&, const Entry&,
-                                            const Transform&, const std::string&, double);
+                                            const Transform&, const std::string&, double,
+                                            const Progress&);
 template LeafGrid<Vec3f> decode_tree(std::string_view, const Header&, const Entry&,
-                                     const Transform&, const std::string&, double);
-template RawGrid encode_tree(const LeafGrid<float>&, bool);
-template RawGrid encode_tree(const LeafGrid<std::int32_t>&, bool);
-template RawGrid encode_tree(const LeafGrid<Vec3f>&, bool);
+                                     const Transform&, const std::string&, double, const Progress&);
+template RawGrid encode_tree(const LeafGrid<float>&, bool, const Progress&);
+template RawGrid encode_tree(const LeafGrid<std::int32_t>&, bool, const Progress&);
+template RawGrid encode_tree(const LeafGrid<Vec3f>&, bool, const Progress&);
 template LeafGrid<float> truncated_to_half(const LeafGrid<float>&);
 template LeafGrid<Vec3f> truncated_to_half(const LeafGrid<Vec3f>&);
 template LeafKind leaf_kind(const LeafGrid<float>&, std::size_t);

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "core/params.h"
+#include "core/progress.h"
 #include "grids/leaf_grid.h"
 #include "grids/scene.h"
 
@@ -108,12 +109,13 @@ bool is_own_uuid(std::string_view uuid);
 /// @throws LimitExceeded  tiles or leaves need more than `memory`
 template <class T>
 LeafGrid<T> decode_tree(std::string_view bytes, const Header& header, const Entry& entry,
-                        const Transform& transform, const std::string& where, double memory);
+                        const Transform& transform, const std::string& where, double memory,
+                        const Progress& progress = {});
 
 /// Type, compression, map, topology and buffers; metadata stays empty. Constant leaves become
 /// tiles, 16^3 and 32^3 equal tiles one larger tile. Inactive -0 is written as +0.
 template <class T>
-RawGrid encode_tree(const LeafGrid<T>& grid, bool half);
+RawGrid encode_tree(const LeafGrid<T>& grid, bool half, const Progress& progress = {});
 
 /// The values a file with 16-bit floats gives back.
 template <class T>

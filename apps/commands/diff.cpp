@@ -4,6 +4,7 @@
 #include <set>
 
 #include "apps/commands/commands.h"
+#include "apps/console.h"
 #include "core/error.h"
 #include "core/file_output.h"
 #include "core/mesh_io.h"
@@ -105,11 +106,12 @@ std::vector<std::string> diff_scenes(const Scene& a, const Scene& b, double tole
 int command_diff(const std::string& a, const std::string& b, double tolerance, const Common& common)
 {
     std::vector<std::string> found;
+    const Progress progress = console_progress("diff");
     auto is_scene = [](const std::string& name) {
         return std::filesystem::path(name).extension() == ".vdb";
     };
     if (is_scene(a) && is_scene(b))
-        found = diff_scenes(read_vdb(a), read_vdb(b), tolerance);
+        found = diff_scenes(read_vdb(a, {}, progress), read_vdb(b, {}, progress), tolerance);
     else if (!is_scene(a) && !is_scene(b)) {
         const TriMesh x = read_mesh(a), y = read_mesh(b);
         if (x.vertices.size() != y.vertices.size() || x.triangles.size() != y.triangles.size())

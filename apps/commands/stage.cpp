@@ -85,7 +85,8 @@ void check_outputs(const StageInfo& info, const Common& common)
 }
 
 /// Reads what a stage works on: a scene, and for pictures a mesh file as well.
-Scene read_input(Stage& stage, const std::string& name, const Common& common)
+Scene read_input(Stage& stage, const std::string& name, const Common& common,
+                 const Progress& progress)
 {
     ReadOptions options;
     options.fix_nan = common.fix_nan;
@@ -126,7 +127,7 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common)
                     "standard input is empty; expected a scene from another command");
             got += static_cast<std::size_t>(n);
         }
-        if (start != "ply") return read_vdb_stream(STDIN_FILENO, options, start);
+        if (start != "ply") return read_vdb_stream(STDIN_FILENO, options, start, progress);
         std::string bytes = start;
         char block[1 << 16];
         for (ssize_t n; (n = ::read(STDIN_FILENO, block, sizeof block)) > 0;)
@@ -150,45 +151,50 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common)
         auto mesh_stage = make_stage("mesh");
         options.only.clear();
         for (const std::string& need : mesh_stage->needs()) options.only.insert(need);
-        scene = read_vdb(name, options);
+        scene = read_vdb(name, options, progress);
         StageContext context;
         context.progress = console_progress("mesh");
         mesh_stage->run(scene, context);
         return scene;
     }
-    return read_vdb(name, options);
+    return read_vdb(name, options, progress);
 }
 
-void write_to_stdout(const std::string& bytes)
+void write_to_stdout(const std::string& bytes, const Progress& progress)
 {
     for (std::size_t done = 0; done < bytes.size();) {
+        progress.check();
         const ssize_t n = ::write(STDOUT_FILENO, bytes.data() + done, bytes.size() - done);
+        if (n < 0 && errno == EINTR) continue;
         if (n <= 0)
             throw IoError(fmt::format("cannot write to standard output: {}", std::strerror(errno)));
         done += static_cast<std::size_t>(n);
     }
 }
 
-void write_result(Stage& stage, const Scene& scene, const std::string& name)
+void write_result(Stage& stage, const Scene& scene, const std::string& name,
+                  const Progress& progress)
 {
     switch (stage.info().output) {
         case OutputKind::Picture:
             if (name == "-")
-                write_to_stdout(encode_png(stage.picture));
+                write_to_stdout(encode_png(stage.picture), progress);
             else
                 write_png(name, stage.picture);
             return;
         case OutputKind::Mesh:
-            if (name == "-") return write_to_stdout(encode_mesh(scene.meshes.at("rock"), ".ply"));
-            if (is_mesh_name(name)) return write_mesh(name, scene.meshes.at("rock"));
-            write_mesh(mesh_beside(name), scene.meshes.at("rock"));
-            write_vdb(name, scene);
+            if (name == "-")
+                return write_to_stdout(encode_mesh(scene.meshes.at("rock"), ".ply", progress),
+                                       progress);
+            if (is_mesh_name(name)) return write_mesh(name, scene.meshes.at("rock"), progress);
+            write_mesh(mesh_beside(name), scene.meshes.at("rock"), progress);
+            write_vdb(name, scene, {}, progress);
             return;
         case OutputKind::Scene:
             if (name == "-")
-                write_vdb_stream(STDOUT_FILENO, scene);
+                write_vdb_stream(STDOUT_FILENO, scene, progress);
             else
-                write_vdb(name, scene);
+                write_vdb(name, scene, {}, progress);
     }
 }
 
@@ -227,7 +233,8 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
     context.fix_nan = common.fix_nan;
     context.folder = ".";
     Scene scene;
-    if (!inputs.empty()) scene = read_input(*stage, inputs.front(), common);
+    if (!inputs.empty())
+        scene = read_input(*stage, inputs.front(), common, context.progress.named("reading"));
     for (const fs::path& target : targets_of(stage->info(), common))
         if (target != "-")
             remove_stale_temporaries(target.has_parent_path() ? target.parent_path() : ".");
@@ -252,8 +259,15 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
 
     Json outputs = Json::array();
     for (const std::string& target : common.output) {
-        write_result(*stage, scene, target);
-        if (target != "-") outputs.push_back(describe_output(target, target, name));
+        write_result(*stage, scene, target, console_progress(name).named("writing"));
+        clear_progress_line();
+        if (common.json && target != "-") {
+            const auto mesh = scene.meshes.find("rock");
+            outputs.push_back(describe_output(
+                target, target, name,
+                mesh == scene.meshes.end() ? std::optional<Bounds>() : mesh->second.bounds(),
+                context.progress));
+        }
     }
     if (common.json)
         print(Json{{"stage", name},

@@ -12,25 +12,29 @@ namespace {
 struct Around {
     std::vector<std::uint32_t> begin, corner;  // corner = 3 triangle + k
 
-    explicit Around(const TriMesh& mesh)
+    Around(const TriMesh& mesh, const Progress& progress)
         : begin(mesh.vertices.size() + 1), corner(mesh.triangles.size() * 3)
     {
-        for (const auto& t : mesh.triangles)
+        for (const auto& t : mesh.triangles) {
+            progress.check();
             for (const std::uint32_t v : t) ++begin[v + 1];
+        }
         for (std::size_t i = 1; i < begin.size(); ++i) begin[i] += begin[i - 1];
         std::vector<std::uint32_t> next(begin.begin(), begin.end() - 1);
-        for (std::size_t i = 0; i < mesh.triangles.size(); ++i)
+        for (std::size_t i = 0; i < mesh.triangles.size(); ++i) {
+            progress.check();
             for (std::uint32_t k = 0; k < 3; ++k)
                 corner[next[mesh.triangles[i][k]]++] = static_cast<std::uint32_t>(3 * i) + k;
+        }
     }
 };
 
 }  // namespace
 
-std::vector<Vec3f> corner_normals(const TriMesh& mesh, double crease)
+std::vector<Vec3f> corner_normals(const TriMesh& mesh, double crease, const Progress& progress)
 {
     const std::size_t count = mesh.triangles.size();
-    const Around around(mesh);
+    const Around around(mesh, progress);
     const auto limit = static_cast<float>(math::cos(crease));
     constexpr std::size_t kGrain = 4096;
 
@@ -39,6 +43,7 @@ std::vector<Vec3f> corner_normals(const TriMesh& mesh, double crease)
     parallel_for(
         count,
         [&](std::size_t i) {
+            progress.check();
             const auto& t = mesh.triangles[i];
             const Vec3d a(mesh.vertices[t[0]]), b(mesh.vertices[t[1]]), c(mesh.vertices[t[2]]);
             area[i] = Vec3f(cross(b - a, c - a));
@@ -53,6 +58,7 @@ std::vector<Vec3f> corner_normals(const TriMesh& mesh, double crease)
         parallel_for(
             count,
             [&](std::size_t i) {
+                progress.check();
                 const Vec3f own = face[i];
                 Vec3f sum = area[i];
                 for (const std::uint32_t v : mesh.triangles[i])
@@ -72,6 +78,7 @@ std::vector<Vec3f> corner_normals(const TriMesh& mesh, double crease)
     parallel_for(
         count,
         [&](std::size_t i) {
+            progress.check();
             for (std::size_t k = 0; k < 3; ++k) {
                 const std::uint32_t v = mesh.triangles[i][k];
                 Vec3f sum{};

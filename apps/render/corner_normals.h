@@ -3,6 +3,7 @@
 #include <vector>
 
 #include "core/mesh.h"
+#include "core/progress.h"
 
 namespace sekitei::render {
 
@@ -12,6 +13,8 @@ namespace sekitei::render {
 /// that turn less than `crease` [rad] from its own triangle: planar walls made of many facets
 /// become even, edges between them stay sharp. Slivers, whose own normals mean little, first take
 /// the mean of what surrounds them. The same bytes on any number of threads.
-std::vector<Vec3f> corner_normals(const TriMesh& mesh, double crease);
+/// @throws Cancelled  from `progress`
+std::vector<Vec3f> corner_normals(const TriMesh& mesh, double crease,
+                                  const Progress& progress = {});
 
 }  // namespace sekitei::render

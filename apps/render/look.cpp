@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "apps/render/fast_math.h"
+#include "core/parallel.h"
 #include "core/random.h"
 
 namespace sekitei::render {
@@ -191,23 +192,35 @@ Material ColourLook::surface(const SurfacePoint& p) const
             p.normal, 1, 0};
 }
 
-RockLook::RockLook(const TriMesh& mesh, std::uint64_t seed)
+RockLook::RockLook(const TriMesh& mesh, std::uint64_t seed, const Progress& progress)
     : mesh_(mesh), key_(static_cast<std::uint32_t>(hash2(seed, Stream("render.rock").id)))
 {
     surface_ = integers(mesh, "surface", surface_per_face_);
-    find_columns(seed);
-    measure_columns();
-    find_joints();
+    find_columns(seed, progress);
+    measure_columns(progress);
+    find_joints(progress);
 }
 
-void RockLook::find_columns(std::uint64_t seed)
+void RockLook::find_columns(std::uint64_t seed, const Progress& progress)
 {
     columns_.resize(1);
     const auto* ids = integers(mesh_, "column", slots_per_face_);
     if (!ids) return;
-    std::vector<std::int32_t> known(*ids);
-    std::sort(known.begin(), known.end());
-    known.erase(std::unique(known.begin(), known.end()), known.end());
+    auto distinct = [](std::vector<std::int32_t>& values) {
+        std::sort(values.begin(), values.end());
+        values.erase(std::unique(values.begin(), values.end()), values.end());
+    };
+    std::vector<std::int32_t> known;
+    constexpr std::size_t kBlock = 1 << 20;  // no long sort: nobody could stop it
+    for (std::size_t begin = 0; begin < ids->size(); begin += kBlock) {
+        progress.check();
+        std::vector<std::int32_t> block(
+            ids->begin() + std::ptrdiff_t(begin),
+            ids->begin() + std::ptrdiff_t(std::min(ids->size(), begin + kBlock)));
+        distinct(block);
+        known.insert(known.end(), block.begin(), block.end());
+    }
+    distinct(known);
     columns_.resize(known.size() + 1);
     constexpr Stream kLook{"render.column"};
     for (std::size_t i = 0; i < known.size(); ++i) {
@@ -224,12 +237,17 @@ void RockLook::find_columns(std::uint64_t seed)
         c.pitch = 0.05f + 0.04f * draw(6);  // of the width; [m] once that is known
     }
     slots_.resize(ids->size());
-    for (std::size_t i = 0; i < ids->size(); ++i)
-        slots_[i] = static_cast<std::uint32_t>(
-            std::lower_bound(known.begin(), known.end(), (*ids)[i]) - known.begin() + 1);
+    parallel_for(
+        ids->size(),
+        [&](std::size_t i) {
+            progress.check();
+            slots_[i] = static_cast<std::uint32_t>(
+                std::lower_bound(known.begin(), known.end(), (*ids)[i]) - known.begin() + 1);
+        },
+        4096);
 }
 
-void RockLook::measure_columns()
+void RockLook::measure_columns(const Progress& progress)
 {
     Bounds bounds;
     for (const auto& t : mesh_.triangles)
@@ -246,6 +264,7 @@ void RockLook::measure_columns()
     std::vector<Sum> sums(columns_.size());
     auto visit = [&](auto&& f) {
         for (std::size_t i = 0; i < mesh_.triangles.size(); ++i) {
+            progress.check();
             const auto& t = mesh_.triangles[i];
             const std::uint32_t slot = slots_[slots_per_face_ ? i : t[0]];
             if (surface_ && (*surface_)[surface_per_face_ ? i : t[0]] != 0) continue;
@@ -293,25 +312,28 @@ void RockLook::measure_columns()
     for (Column& c : columns_) c.pitch *= width_;
 }
 
-void RockLook::find_joints()
+void RockLook::find_joints(const Progress& progress)
 {
     if (slots_.empty() || !slots_per_face_) return;
     const std::size_t count = mesh_.vertices.size();
     std::vector<std::uint32_t> first(count, 0);
     joint_.assign(count, 0);
-    for (std::size_t i = 0; i < mesh_.triangles.size(); ++i)
+    for (std::size_t i = 0; i < mesh_.triangles.size(); ++i) {
+        progress.check();
         for (const std::uint32_t v : mesh_.triangles[i]) {
             if (first[v] == 0)
                 first[v] = slots_[i];
             else if (first[v] != slots_[i])
                 joint_[v] = 1;
         }
+    }
     // The border follows triangles in a zigzag: spread it over the neighbours into a soft line.
     std::vector<float> sum(count), weight(count);
     for (int pass = 0; pass < 2; ++pass) {
         std::fill(sum.begin(), sum.end(), 0.0f);
         std::fill(weight.begin(), weight.end(), 0.0f);
         for (const auto& t : mesh_.triangles) {
+            progress.check();
             const float all = joint_[t[0]] + joint_[t[1]] + joint_[t[2]];
             for (const std::uint32_t v : t) {
                 sum[v] += all;

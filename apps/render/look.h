@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "core/mesh.h"
+#include "core/progress.h"
 
 namespace sekitei::render {
 
@@ -69,7 +70,7 @@ private:
 /// which is the direction its wall normals share least.
 class RockLook : public Look {
 public:
-    RockLook(const TriMesh& mesh, std::uint64_t seed);
+    RockLook(const TriMesh& mesh, std::uint64_t seed, const Progress& progress = {});
 
     Material surface(const SurfacePoint& point) const override;
     Material ground(const SurfacePoint& point) const override;
@@ -87,9 +88,9 @@ private:
         float joint = 0;  // nearness to a joint without a gap, 0..1
     };
     Where where(const SurfacePoint& point) const;
-    void find_columns(std::uint64_t seed);
-    void measure_columns();
-    void find_joints();
+    void find_columns(std::uint64_t seed, const Progress& progress);
+    void measure_columns(const Progress& progress);
+    void find_joints(const Progress& progress);
 
     const TriMesh& mesh_;
     std::uint32_t key_;

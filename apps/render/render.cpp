@@ -165,8 +165,9 @@ Image8 run(const TriMesh& mesh, const Params& params, std::uint64_t seed, const 
     const double size = length(bounds.size());
     progress.update(0);
 
-    const rays::TriangleScene rays(mesh.vertices, mesh.triangles, "render");  // checks the mesh
-    const std::vector<Vec3f> normals = corner_normals(mesh, kCrease);
+    const rays::TriangleScene rays(mesh.vertices, mesh.triangles, "render",
+                                   progress);  // checks the mesh
+    const std::vector<Vec3f> normals = corner_normals(mesh, kCrease, progress);
     progress.check();
     const Vec3d sun = direction_of(params.sun_azimuth, params.sun_elevation);
     const double sun_radius = params.sun_size / 2 * kDegree;
@@ -183,7 +184,7 @@ Image8 run(const TriMesh& mesh, const Params& params, std::uint64_t seed, const 
         ground.reset();
     } else {
         sky = Sky::day(sun, sun_radius, params.turbidity, !params.ground);
-        look = std::make_unique<RockLook>(mesh, seed);
+        look = std::make_unique<RockLook>(mesh, seed, progress);
     }
     World world{.mesh = mesh,
                 .rays = rays,

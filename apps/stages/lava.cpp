@@ -132,7 +132,7 @@ private:
             ReadOptions options;
             options.fix_nan = context.fix_nan;
             options.memory_limit = context.memory_limit;
-            volume_ = read_vdb(required(params_.volume, "volume"), options);
+            volume_ = read_vdb(required(params_.volume, "volume"), options, context.progress);
             inputs_.volume = &volume_;
         }
         loaded_ = true;

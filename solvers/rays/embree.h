@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/progress.h"
 #include "core/vec.h"
 
 /// Rays against triangles, by Embree; the difference between its versions 3 and 4 is hidden here.
@@ -42,8 +43,9 @@ public:
     /// hits are refined on them.
     /// @throws InvalidInput  no triangle, a vertex that is NaN, infinite or beyond 1e15 m (Embree
     ///                       would drop its triangles without a word), an index out of range
+    /// @throws Cancelled  from `progress`, which need not live on
     TriangleScene(const std::vector<Vec3f>& vertices, const std::vector<Triangle>& triangles,
-                  const std::string& who)
+                  const std::string& who, const Progress& progress = {})
         : vertices_(vertices), triangles_(triangles)
     {
         if (triangles.empty()) throw InvalidInput(who + ": the mesh has no triangles");
@@ -63,6 +65,10 @@ public:
         if (!device_) throw LimitExceeded(who + ": Embree could not start");
         rtcSetDeviceMemoryMonitorFunction(device_, &TriangleScene::monitor, &bytes_);
         scene_ = rtcNewScene(device_);
+        rtcSetSceneProgressMonitorFunction(
+            scene_,
+            [](void* wish, double) { return !static_cast<const Progress*>(wish)->cancelled(); },
+            const_cast<Progress*>(&progress));
         rtcSetSceneBuildQuality(scene_, RTC_BUILD_QUALITY_MEDIUM);
         rtcSetSceneFlags(scene_, RTC_SCENE_FLAG_ROBUST);
         RTCGeometry geometry = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE);
@@ -79,6 +85,11 @@ public:
             rtcCommitScene(scene_);
         }
         rtcReleaseGeometry(geometry);
+        rtcSetSceneProgressMonitorFunction(scene_, nullptr, nullptr);
+        if (progress.cancelled()) {
+            release();
+            throw Cancelled();
+        }
         const RTCError error = rtcGetDeviceError(device_);
         if (!points || !corners || error != RTC_ERROR_NONE) {
             release();

@@ -590,6 +590,17 @@ TEST(Render, StopsWhenAsked)
     EXPECT_THROW(run(columns(), params, 1, Progress({}, &stop)), Cancelled);
 }
 
+TEST(Render, WhatPrecedesTheFirstRayStopsWhenAsked)
+{
+    const std::atomic<bool> stop{true};
+    const Progress progress({}, &stop);
+    TriMesh mesh = columns();
+    EXPECT_THROW(corner_normals(mesh, 0.6, progress), Cancelled);
+    EXPECT_THROW(rays::TriangleScene(mesh.vertices, mesh.triangles, "test", progress), Cancelled);
+    mesh.face_attributes["column"] = std::vector<std::int32_t>(mesh.triangles.size(), 4);
+    EXPECT_THROW(RockLook(mesh, 1, progress), Cancelled);
+}
+
 TEST(Render, ATriangleOfOneColourAndAMeshWithoutExtentAreLegal)
 {
     TriMesh mesh;

@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cstring>
 #include <filesystem>
 #include <nlohmann/json.hpp>
@@ -627,6 +628,19 @@ TEST(MeshIo, HeadersThatPromiseTooMuchAreRefusedBeforeAllocation)
     expect_refused(
         list.substr(0, list.size() - 52) + "\xff\xff\xff\x7f" + std::string(60, '\0'), "a.ply",
         "list vertex_indices of 2147483647 entries at byte 245 needs 8589934588 bytes, 60 are");
+}
+
+TEST(MeshIo, EveryWriterStopsWhenAsked)
+{
+    const std::atomic<bool> stop{true};
+    const TriMesh mesh = decorated();
+    for (const char* extension : {".ply", ".obj", ".stl", ".off", ".glb"})
+        EXPECT_THROW(encode_mesh(mesh, extension, Progress({}, &stop)), Cancelled) << extension;
+    const auto folder = std::filesystem::path(testing::TempDir()) / "stopped_mesh";
+    std::filesystem::create_directory(folder);
+    EXPECT_THROW(write_mesh(folder / "a.ply", mesh, Progress({}, &stop)), Cancelled);
+    EXPECT_TRUE(std::filesystem::is_empty(folder));
+    std::filesystem::remove_all(folder);
 }
 
 TEST(MeshIo, TruncatedFilesAreNamed)

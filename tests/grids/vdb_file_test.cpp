@@ -9,6 +9,7 @@
 #include <sys/mount.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <cmath>
 #include <fstream>
 #include <thread>
@@ -174,6 +175,65 @@ Scene small_scene()
                              .seed = ~0ull,
                              .inputs = {{"a.ply", "00ff"}}});
     return scene;
+}
+
+/// A wish to stop that comes once `share` of the work is done.
+struct StopAt {
+    std::atomic<bool> stop{false};
+    double share;
+    explicit StopAt(double s) : stop(s < 0), share(s) {}
+    Progress progress()
+    {
+        return {[this](const std::string&, double done) {
+                    if (done >= share) stop = true;
+                },
+                &stop};
+    }
+};
+
+TEST_F(VdbFile, AStoppedWriteLeavesTheOldFileAndNothingElse)
+{
+    Scene scene;
+    scene.put("values", varied<float>(3), "", "test");
+    scene.put("more", varied<std::int32_t>(5), "test");
+    write_vdb(file(), Scene{});
+    const std::string before = read_file(file());
+    for (const double share : {-1.0, 0.0, 0.3, 0.79, 0.85}) {
+        StopAt at(share);
+        EXPECT_THROW(write_vdb(file(), scene, {}, at.progress()), Cancelled) << share;
+        EXPECT_EQ(read_file(file()), before);
+        EXPECT_EQ(std::distance(fs::directory_iterator(folder_), fs::directory_iterator()), 1);
+    }
+}
+
+TEST_F(VdbFile, AReadCanBeStoppedAtAnyGrid)
+{
+    Scene scene;
+    scene.put("values", varied<float>(3), "", "test");
+    scene.put("more", varied<std::int32_t>(5), "test");
+    write_vdb(file(), scene);
+    for (const double share : {-1.0, 0.0, 0.5}) {
+        StopAt at(share);
+        EXPECT_THROW(read_vdb(file(), {}, at.progress()), Cancelled) << share;
+    }
+    EXPECT_EQ(read_vdb(file(), {}, StopAt(2).progress()).grids.size(), 2u);
+}
+
+TEST_F(VdbFile, AStoppedPipeIsRefusedByItsReader)
+{
+    Scene scene;
+    scene.put("values", varied<float>(3), "", "test");
+    for (const double share : {-1.0, 0.0}) {
+        int ends[2];
+        ASSERT_EQ(pipe(ends), 0);
+        StopAt at(share);
+        EXPECT_THROW(write_vdb_stream(ends[1], scene, at.progress()), Cancelled);
+        close(ends[1]);
+        EXPECT_THROW(read_vdb_stream(ends[0]), InvalidInput);
+        StopAt reading(-1);
+        EXPECT_THROW(read_vdb_stream(ends[0], {}, "", reading.progress()), Cancelled);
+        close(ends[0]);
+    }
 }
 
 TEST_F(VdbFile, GridsComeBackBitForBit)
