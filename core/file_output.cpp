@@ -237,7 +237,7 @@ struct AtomicFile::State {
     }
 };
 
-AtomicFile::AtomicFile(fs::path target)
+AtomicFile::AtomicFile(const fs::path& target)
 {
     auto state = std::make_unique<State>();
     state->shown = target;

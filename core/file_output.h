@@ -20,7 +20,7 @@ namespace sekitei {
 class AtomicFile {
 public:
     /// @throws IoError  no such folder, read-only, not permitted, target is a folder
-    explicit AtomicFile(std::filesystem::path target);
+    explicit AtomicFile(const std::filesystem::path& target);
     ~AtomicFile();
     AtomicFile(const AtomicFile&) = delete;
     AtomicFile& operator=(const AtomicFile&) = delete;

@@ -110,7 +110,7 @@ struct Sides {
 /// Sides of the voxels of `topology` under `is_inside`; voxels outside [lower, upper) have the side
 /// of the nearest one within.
 template <class T, class IsInside>
-Sides sides_of(const LeafGrid<T>& grid, TopologyPtr topology, Coord lower, Coord upper,
+Sides sides_of(const LeafGrid<T>& grid, const TopologyPtr& topology, Coord lower, Coord upper,
                IsInside&& is_inside)
 {
     Sides sides{topology, std::vector<LeafMask>(topology->size())};
