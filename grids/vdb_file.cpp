@@ -324,7 +324,7 @@ std::string write_scene(Out& out, const Scene& scene, const WriteOptions& option
         raw.meta["sekitei:hash"] = vdb::text_meta(content_hash(points));
         emit_grid(name, std::move(raw));
     }
-    const std::string uuid = vdb::uuid_from_hash(whole.hex());
+    std::string uuid = vdb::uuid_from_hash(whole.hex());
     out.write_at(vdb::kUuidPosition, uuid.data(), uuid.size());
     return uuid;
 }

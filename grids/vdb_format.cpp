@@ -537,7 +537,7 @@ template <class T>
 void read_values(Cursor& in, const Settings<T>& s, const std::uint64_t* mask, std::size_t count,
                  T* target)
 {
-    const int code = in.get<std::int8_t>();
+    const auto code = in.get<std::int8_t>();
     if (code < 0 || code > kEveryValue) in.fail(fmt::format("node code {}, expected 0..6", code));
     T second = s.background;
     T first = code == kAllBackground ? s.background : negative(s.background);
@@ -566,7 +566,7 @@ void read_values(Cursor& in, const Settings<T>& s, const std::uint64_t* mask, st
 template <class T>
 void skip_values(Cursor& in, const Settings<T>& s, const std::uint64_t* mask, std::size_t count)
 {
-    const int code = in.get<std::int8_t>();
+    const auto code = in.get<std::int8_t>();
     if (code < 0 || code > kEveryValue) in.fail(fmt::format("node code {}, expected 0..6", code));
     if (has_first_value(code)) in.take(sizeof(T));
     if (code == kTwoValues) in.take(sizeof(T));
