@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
+#include <cstring>
 #include <limits>
 
 // The same source for wider registers, chosen at run time; without FMA the bytes are the same.
@@ -24,6 +26,8 @@ constexpr std::size_t kTreeLeaf = 4;
 constexpr int kRivals = 2;
 /// Long oblique segments enter the tree as several boxes, each at most this wide [voxels].
 constexpr double kBoxWidth = 8;
+/// Coordinate of no candidate [voxels]; its fourth power would overflow, its square does not.
+constexpr double kNowhere = 1e150;
 
 struct Segment {
     Vec3d a, d;
@@ -76,13 +80,31 @@ double box_distance2(Vec3d p, Vec3d lower, Vec3d upper)
     return dot(r, r);
 }
 
-/// Room for n candidates.
+/// The arrays that say where a candidate lies.
+constexpr std::vector<double> PolylineIndex::Candidates::*kGeometry[] = {
+    &PolylineIndex::Candidates::ax, &PolylineIndex::Candidates::ay, &PolylineIndex::Candidates::az,
+    &PolylineIndex::Candidates::dx, &PolylineIndex::Candidates::dy, &PolylineIndex::Candidates::dz,
+    &PolylineIndex::Candidates::inverse_length2};
+
+/// Eight doubles side by side: one register, two or four, as the processor has them.
+constexpr std::size_t kLanes = 8;
+typedef double Row __attribute__((vector_size(64)));
+typedef double RowAnywhere __attribute__((vector_size(64), aligned(8)));
+typedef std::int64_t RowIds __attribute__((vector_size(64)));
+typedef std::int32_t ShortRowIds __attribute__((vector_size(32)));
+
+/// Room for n candidates, and behind them for lanes where nothing is near.
 void resize(PolylineIndex::Candidates& out, std::size_t n)
 {
+    const std::size_t padded = (n + kLanes - 1) / kLanes * kLanes;
+    for (auto array : kGeometry) {
+        (out.*array).resize(padded);
+        std::fill((out.*array).begin() + static_cast<std::ptrdiff_t>(n), (out.*array).end(),
+                  array == &PolylineIndex::Candidates::ax ? kNowhere : 0.0);
+    }
     out.segments.resize(n);
-    for (auto* v : {&out.ax, &out.ay, &out.az, &out.dx, &out.dy, &out.dz, &out.inverse_length2,
-                    &out.arc0, &out.length})
-        v->resize(n);
+    out.arc0.resize(n);
+    out.length.resize(n);
     out.line.resize(n);
 }
 
@@ -93,90 +115,217 @@ void set_lines(PolylineIndex::Candidates& out)
         if (out.lines.empty() || out.lines.back() != line) out.lines.push_back(line);
 }
 
-/// Ways from the nearest point of each candidate to p, and their squared lengths.
-SEKITEI_WIDE void ways_to(Vec3d p, const double* __restrict ax, const double* __restrict ay,
-                          const double* __restrict az, const double* __restrict dx,
-                          const double* __restrict dy, const double* __restrict dz,
-                          const double* __restrict inverse, std::size_t n, double* __restrict wx,
-                          double* __restrict wy, double* __restrict wz, double* __restrict w2)
-{
-    for (std::size_t j = 0; j < n; ++j) {
-        const double px = p.x - ax[j], py = p.y - ay[j], pz = p.z - az[j];
-        double t = (px * dx[j] + py * dy[j] + pz * dz[j]) * inverse[j];
-        t = t > 0.0 ? t : 0.0;
-        t = t < 1.0 ? t : 1.0;
-        const double rx = px - dx[j] * t, ry = py - dy[j] * t, rz = pz - dz[j] * t;
-        wx[j] = rx;
-        wy[j] = ry;
-        wz[j] = rz;
-        w2[j] = rx * rx + ry * ry + rz * rz;
+/// Ways from the nearest points of eight candidates to a cube's centre, and their squared lengths;
+/// `ahead` < 0 once another candidate beats them in the whole cube.
+struct alignas(64) Ways {
+    Row x, y, z, length2, ahead;
+};
+
+/// What one thread reuses from cube to cube.
+struct Work {
+    std::vector<Ways> ways;
+    std::vector<std::uint32_t> chosen;
+
+    void make_room(std::size_t n)
+    {
+        ways.resize((n + kLanes - 1) / kLanes);
+        chosen.resize(n);
     }
+};
+
+Work& work_of_this_thread()
+{
+    thread_local Work work;
+    return work;
 }
 
-/// Lowers kept[j] below zero for each candidate that `corner_distance` beats in the whole cube.
+#define SEKITEI_INLINE inline __attribute__((always_inline))
+
+/// Lists in `chosen`, ascending, those of the candidates that no near one beats in the whole cube
+/// centre +- half; returns how many. Stops early once all are of one line if that `suffices`.
 ///
 /// With w the way from candidate j's nearest point to the centre, d = |w|, convexity gives for each
 /// p of the cube distance_j(p) >= d + (p - centre) . w / d. Minus the (convex) distance to the
-/// rival that is concave in p: where it is positive at all corners, it is everywhere.
-SEKITEI_WIDE void beaten_in_cube(double half, const double* __restrict corner_distance,
-                                 const double* __restrict wx, const double* __restrict wy,
-                                 const double* __restrict wz, const double* __restrict w2,
-                                 std::size_t n, double* __restrict kept)
+/// rival that is concave in p: where it is positive at all corners, it is everywhere. Times d and
+/// squared, no root is left.
+SEKITEI_INLINE std::size_t cull(const PolylineIndex::Candidates& c, Vec3d centre, double half,
+                                bool one_line_suffices, Work& work)
 {
-    for (std::size_t j = 0; j < n; ++j) {
-        const double d2 = w2[j], d = std::sqrt(d2);
-        const double x = wx[j] * half, y = wy[j] * half, z = wz[j] * half;
-        double least = kInfinity;
-        for (int k = 0; k < 8; ++k) {
-            const double slope = (k & 1 ? x : -x) + (k & 2 ? y : -y) + (k & 4 ? z : -z);
-            const double ahead = d2 + slope - corner_distance[k] * d;
-            least = ahead < least ? ahead : least;
+    const std::size_t n = c.line.size();
+    const std::int32_t* line = c.line.data();
+    Ways* const ways = work.ways.data();
+    std::uint32_t* const chosen = work.chosen.data();
+    const Row zero{}, one = zero + 1.0;
+    const std::size_t count = (n + kLanes - 1) / kLanes;
+    for (std::size_t g = 0; g < count; ++g) {
+        auto row = [g](const std::vector<double>& v) -> const RowAnywhere& {
+            return reinterpret_cast<const RowAnywhere*>(v.data())[g];
+        };
+        const Row dx = row(c.dx), dy = row(c.dy), dz = row(c.dz);
+        const Row px = centre.x - row(c.ax), py = centre.y - row(c.ay), pz = centre.z - row(c.az);
+        Row t = (px * dx + py * dy + pz * dz) * row(c.inverse_length2);
+        t = t > zero ? t : zero;
+        t = t < one ? t : one;
+        Ways& w = ways[g];
+        w.x = px - dx * t;
+        w.y = py - dy * t;
+        w.z = pz - dz * t;
+        w.length2 = w.x * w.x + w.y * w.y + w.z * w.z;
+        w.ahead = zero;
+    }
+    std::size_t kept = n;
+    for (std::size_t j = 0; j < n; ++j) chosen[j] = static_cast<std::uint32_t>(j);
+    std::int32_t last = -1;  // line of the last rival
+    for (int round = 0; round < kRivals; ++round) {
+        // The nearest of what is left is the rival, first of all lines, then of another one.
+        std::size_t rival = n;
+        double least2 = kInfinity;
+        for (std::size_t k = 0; k < kept; ++k) {
+            const std::size_t j = chosen[k];
+            const double d2 = ways[j / kLanes].length2[j % kLanes];
+            const bool nearer = d2 < least2 && line[j] != last;
+            rival = nearer ? j : rival;
+            least2 = nearer ? d2 : least2;
         }
-        kept[j] = least > kMargin * (1 + d2) ? -1.0 : kept[j];
+        if (rival == n) break;
+        last = line[rival];
+
+        // Its distance from the corners of the cube.
+        const Segment r = segment_of(c, rival);
+        const Row px = Row{-half, half, -half, half, -half, half, -half, half} + (centre.x - r.a.x);
+        const Row py = Row{-half, -half, half, half, -half, -half, half, half} + (centre.y - r.a.y);
+        const Row pz = Row{-half, -half, -half, -half, half, half, half, half} + (centre.z - r.a.z);
+        Row t = (px * r.d.x + py * r.d.y + pz * r.d.z) * r.inverse_length2;
+        t = t > zero ? t : zero;
+        t = t < one ? t : one;
+        const Row rx = px - r.d.x * t, ry = py - r.d.y * t, rz = pz - r.d.z * t;
+        const Row corner2 = rx * rx + ry * ry + rz * rz;
+
+        for (std::size_t g = 0; g < count; ++g) {
+            Ways& w = ways[g];
+            const Row base = w.length2 - kMargin * (one + w.length2);
+            const Row x = w.x * half, y = w.y * half, z = w.z * half;
+            const Row sum = x + y, difference = x - y;
+            const Row slope[4] = {sum + z, difference - z, sum - z, difference + z};
+            Row most = zero - kInfinity;
+            auto corner = [&](int k, const Row& s) {
+                const Row lack = corner2[k] * w.length2 - s * (s > zero ? s : zero);
+                most = most > lack ? most : lack;
+            };
+            corner(7, base + slope[0]);
+            corner(0, base - slope[0]);
+            corner(1, base + slope[1]);
+            corner(6, base - slope[1]);
+            corner(3, base + slope[2]);
+            corner(4, base - slope[2]);
+            corner(5, base + slope[3]);
+            corner(2, base - slope[3]);
+            w.ahead = w.ahead < most ? w.ahead : most;
+        }
+        std::size_t still = 0;
+        for (std::size_t k = 0; k < kept; ++k) {
+            const std::uint32_t j = chosen[k];
+            chosen[still] = j;
+            still += ways[j / kLanes].ahead[j % kLanes] < 0 ? 0 : 1;
+        }
+        kept = still;
+        if (kept == 1) break;
+        if (one_line_suffices && line[chosen[0]] == line[chosen[kept - 1]]) break;
+    }
+    return kept;
+}
+
+/// Line, and arc length if wanted, of the nearest of the chosen candidates for each voxel of the
+/// 4^3 block at `low`, which is an octant of the leaf whose values `line` and `arc` are. The same
+/// arithmetic as distance2(), in the same order, so that ties fall the same way.
+template <bool kArc>
+SEKITEI_INLINE void nearest_in_octant(Coord low, const PolylineIndex::Candidates& c,
+                                      const std::uint32_t* chosen, std::size_t n,
+                                      std::int32_t* line, double* arc)
+{
+    constexpr int kEdge = kLeafEdge / 2;
+    const Row zero{}, one = zero + 1.0;
+    const Row z = Row{0.5, 1.5, 2.5, 3.5, 0.5, 1.5, 2.5, 3.5} + double(low.z);
+    const int first = leaf_offset(low);
+    for (int pair = 0; pair < kEdge; pair += 2) {  // two rows along z at a time, four times in x
+        const Row y = Row{0.5, 0.5, 0.5, 0.5, 1.5, 1.5, 1.5, 1.5} + double(low.y + pair);
+        Row least[kEdge], along[kEdge];
+        RowIds owner[kEdge];
+        for (int i = 0; i < kEdge; ++i) {
+            least[i] = zero + kInfinity;
+            along[i] = zero;
+            owner[i] = RowIds{};
+        }
+        for (std::size_t k = 0; k < n; ++k) {
+            const Segment s = segment_of(c, chosen[k]);
+            const Row py = y - s.a.y, pz = z - s.a.z;
+            const Row by_y = py * s.d.y, by_z = pz * s.d.z;
+            for (int i = 0; i < kEdge; ++i) {
+                const double px = low.x + i + 0.5 - s.a.x;
+                Row t = (px * s.d.x + by_y + by_z) * s.inverse_length2;
+                t = t > zero ? t : zero;
+                t = t < one ? t : one;
+                const Row rx = px - s.d.x * t, ry = py - s.d.y * t, rz = pz - s.d.z * t;
+                const Row d2 = rx * rx + ry * ry + rz * rz;
+                const RowIds nearer = d2 < least[i];
+                least[i] = nearer ? d2 : least[i];
+                owner[i] = nearer ? RowIds{} + s.line : owner[i];
+                if (kArc) along[i] = nearer ? s.arc0 + t * s.length : along[i];
+            }
+        }
+        for (int i = 0; i < kEdge; ++i) {
+            const int at = first + (i * kLeafEdge + pair) * kLeafEdge;
+            const ShortRowIds ids = __builtin_convertvector(owner[i], ShortRowIds);
+            std::memcpy(line + at, &ids, sizeof(ids) / 2);
+            std::memcpy(line + at + kLeafEdge, reinterpret_cast<const char*>(&ids) + sizeof(ids) / 2,
+                        sizeof(ids) / 2);
+            if (!kArc) continue;
+            std::memcpy(arc + at, &along[i], sizeof(Row) / 2);
+            std::memcpy(arc + at + kLeafEdge,
+                        reinterpret_cast<const char*>(&along[i]) + sizeof(Row) / 2,
+                        sizeof(Row) / 2);
+        }
     }
 }
 
-/// A row of 8 voxels along z: one register, two or four, as the processor has them.
-typedef double Row __attribute__((vector_size(64)));
-typedef std::int64_t RowIds __attribute__((vector_size(64)));
-
-/// What the leaf loop reads of a candidate, side by side.
-struct Packed {
-    double ax, ay, az, dx, dy, dz, inverse_length2, arc0, length;
-    std::int64_t line;
-};
-
-/// Line, and arc length if asked for, of the nearest candidate for each voxel of the leaf at
-/// `origin`. The same arithmetic as distance2(), in the same order, so that ties fall the same way.
-SEKITEI_WIDE void nearest_in_rows(Coord origin, const Packed* candidates, std::size_t n,
-                                  std::int32_t* __restrict line, double* __restrict arc)
+template <bool kArc>
+SEKITEI_INLINE void nearest_in_octants(Coord origin, const PolylineIndex::Candidates& c, Work& work,
+                                       std::int32_t* line, double* arc)
 {
-    const Row steps{0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5};
-    const Row zero{}, one = zero + 1.0, z = steps + double(origin.z);
-    for (int row = 0; row < kLeafEdge * kLeafEdge; ++row) {
-        const double x = origin.x + (row >> 3) + 0.5, y = origin.y + (row & 7) + 0.5;
-        Row least = zero + kInfinity, along = zero;
-        RowIds owner{};
-        for (std::size_t j = 0; j < n; ++j) {
-            const Packed& c = candidates[j];
-            const double px = x - c.ax, py = y - c.ay;
-            const double level = px * c.dx + py * c.dy;
-            const Row pz = z - c.az;
-            Row t = (level + pz * c.dz) * c.inverse_length2;
-            t = t > zero ? t : zero;
-            t = t < one ? t : one;
-            const Row rx = px - c.dx * t, ry = py - c.dy * t, rz = pz - c.dz * t;
-            const Row d2 = rx * rx + ry * ry + rz * rz;
-            const RowIds nearer = d2 < least;
-            least = nearer ? d2 : least;
-            owner = nearer ? RowIds{} + c.line : owner;
-            along = nearer ? c.arc0 + t * c.length : along;
+    constexpr int kEdge = kLeafEdge / 2;
+    work.make_room(c.line.size());
+    for (int octant = 0; octant < 8; ++octant) {
+        const Coord low = origin + Coord(octant & 4 ? kEdge : 0, octant & 2 ? kEdge : 0,
+                                         octant & 1 ? kEdge : 0);
+        const std::size_t kept =
+            cull(c, Vec3d(low) + Vec3d(kEdge * 0.5), (kEdge - 1) * 0.5, !kArc, work);
+        const std::int32_t owner = c.line[work.chosen[0]];
+        if (!kArc && owner == c.line[work.chosen[kept - 1]]) {
+            for (int x = 0; x < kEdge; ++x)
+                for (int y = 0; y < kEdge; ++y)
+                    std::fill_n(line + leaf_offset(low + Coord(x, y, 0)), kEdge, owner);
+            continue;
         }
-        for (int k = 0; k < kLeafEdge; ++k)
-            line[row * kLeafEdge + k] = static_cast<std::int32_t>(owner[k]);
-        if (arc)
-            for (int k = 0; k < kLeafEdge; ++k) arc[row * kLeafEdge + k] = along[k];
+        nearest_in_octant<kArc>(low, c, work.chosen.data(), kept, line, arc);
     }
+}
+
+SEKITEI_WIDE void ids_in_leaf(Coord origin, const PolylineIndex::Candidates& c, Work& work,
+                              std::int32_t* line)
+{
+    nearest_in_octants<false>(origin, c, work, line, nullptr);
+}
+
+SEKITEI_WIDE void ids_and_arcs_in_leaf(Coord origin, const PolylineIndex::Candidates& c, Work& work,
+                                       std::int32_t* line, double* arc)
+{
+    nearest_in_octants<true>(origin, c, work, line, arc);
+}
+
+SEKITEI_WIDE std::size_t cull_cube(const PolylineIndex::Candidates& c, Vec3d centre, double half,
+                                   Work& work)
+{
+    return cull(c, centre, half, false, work);
 }
 
 }  // namespace
@@ -321,13 +470,21 @@ void PolylineIndex::candidates(Vec3d centre, double rho, Candidates& out) const
     });
     const double reach = (std::sqrt(least2) + 2 * rho) * (1 + kMargin) + kMargin;
     double reach2 = reach * reach;
+    // A bit for each segment near by, so that they come out in order and once.
+    thread_local std::vector<std::uint64_t> marks;
     thread_local std::vector<std::uint32_t> ids;
+    marks.resize(std::max(marks.size(), s.segments.size() / 64 + 1));
+    s.nearest_first(centre, reach2,
+                    [&](std::uint32_t j) { marks[j / 64] |= std::uint64_t(1) << (j % 64); });
     ids.clear();
-    s.nearest_first(centre, reach2, [&](std::uint32_t j) {
-        if (distance2(centre, s.segments[j]) <= reach2) ids.push_back(j);
-    });
-    std::sort(ids.begin(), ids.end());
-    ids.erase(std::unique(ids.begin(), ids.end()), ids.end());
+    for (std::size_t word = 0; word < s.segments.size() / 64 + 1; ++word) {
+        for (std::uint64_t bits = marks[word]; bits != 0; bits &= bits - 1) {
+            const auto j = static_cast<std::uint32_t>(word * 64) +
+                           static_cast<std::uint32_t>(std::countr_zero(bits));
+            if (distance2(centre, s.segments[j]) <= reach2) ids.push_back(j);
+        }
+        marks[word] = 0;
+    }
     resize(out, ids.size());
     for (std::size_t k = 0; k < ids.size(); ++k) {
         const Segment& segment = s.segments[ids[k]];
@@ -348,52 +505,15 @@ void PolylineIndex::candidates(Vec3d centre, double rho, Candidates& out) const
 
 void PolylineIndex::narrow(const Candidates& from, Vec3d centre, double half, Candidates& out)
 {
-    const std::size_t n = from.segments.size();
-    struct Work {
-        std::vector<double> wx, wy, wz, w2, kept;
-        std::vector<std::uint32_t> chosen;
-    };
-    thread_local Work w;
-    for (auto* v : {&w.wx, &w.wy, &w.wz, &w.w2, &w.kept}) v->resize(n);
-    ways_to(centre, from.ax.data(), from.ay.data(), from.az.data(), from.dx.data(), from.dy.data(),
-            from.dz.data(), from.inverse_length2.data(), n, w.wx.data(), w.wy.data(), w.wz.data(),
-            w.w2.data());
-
-    // The nearest few are the rivals that may beat the others in the whole cube.
-    std::fill(w.kept.begin(), w.kept.end(), 1.0);
-    double beyond2 = -1;
-    for (int rival = 0; rival < kRivals; ++rival) {
-        std::size_t nearest = n;
-        for (std::size_t j = 0; j < n; ++j)
-            if (w.w2[j] > beyond2 && w.kept[j] > 0 && (nearest == n || w.w2[j] < w.w2[nearest]))
-                nearest = j;
-        if (nearest == n) break;
-        beyond2 = w.w2[nearest];
-        const Segment segment = segment_of(from, nearest);
-        double corner_distance[8];
-        for (int k = 0; k < 8; ++k)
-            corner_distance[k] = std::sqrt(distance2(
-                centre + Vec3d(k & 1 ? half : -half, k & 2 ? half : -half, k & 4 ? half : -half),
-                segment));
-        beaten_in_cube(half, corner_distance, w.wx.data(), w.wy.data(), w.wz.data(), w.w2.data(), n,
-                       w.kept.data());
-    }
-
-    w.chosen.clear();
-    for (std::size_t j = 0; j < n; ++j)
-        if (w.kept[j] > 0) w.chosen.push_back(static_cast<std::uint32_t>(j));
+    Work& work = work_of_this_thread();
+    work.make_room(from.line.size());
+    const std::size_t kept = cull_cube(from, centre, half, work);
+    resize(out, kept);
     auto pick = [&](const auto& source, auto& target) {
-        target.resize(w.chosen.size());
-        for (std::size_t k = 0; k < w.chosen.size(); ++k) target[k] = source[w.chosen[k]];
+        for (std::size_t k = 0; k < kept; ++k) target[k] = source[work.chosen[k]];
     };
+    for (auto array : kGeometry) pick(from.*array, out.*array);
     pick(from.segments, out.segments);
-    pick(from.ax, out.ax);
-    pick(from.ay, out.ay);
-    pick(from.az, out.az);
-    pick(from.dx, out.dx);
-    pick(from.dy, out.dy);
-    pick(from.dz, out.dz);
-    pick(from.inverse_length2, out.inverse_length2);
     pick(from.arc0, out.arc0);
     pick(from.length, out.length);
     pick(from.line, out.line);
@@ -403,12 +523,11 @@ void PolylineIndex::narrow(const Candidates& from, Vec3d centre, double half, Ca
 void PolylineIndex::nearest_in_leaf(Coord origin, const Candidates& c, std::int32_t* line,
                                     double* arc)
 {
-    thread_local std::vector<Packed> packed;
-    packed.clear();
-    for (std::size_t j = 0; j < c.segments.size(); ++j)
-        packed.push_back({c.ax[j], c.ay[j], c.az[j], c.dx[j], c.dy[j], c.dz[j],
-                          c.inverse_length2[j], c.arc0[j], c.length[j], c.line[j]});
-    nearest_in_rows(origin, packed.data(), packed.size(), line, arc);
+    Work& work = work_of_this_thread();
+    if (arc)
+        ids_and_arcs_in_leaf(origin, c, work, line, arc);
+    else
+        ids_in_leaf(origin, c, work, line);
 }
 
 NearestPoint PolylineIndex::nearest(Vec3d p, const Candidates& candidates)
