@@ -93,6 +93,7 @@ public:
             void* moved = std::realloc(static_cast<void*>(data_), count * sizeof(T));
             if (!moved) throw std::bad_alloc();
             data_ = static_cast<T*>(moved);
+            if (count > size_) prefer_large_pages(moved, count * sizeof(T));
         }
         size_ = count;
     }

@@ -2,6 +2,11 @@
 
 #include <algorithm>
 #include <bit>
+#include <cstdint>
+
+#ifdef __linux__
+#include <sys/mman.h>
+#endif
 
 #include "core/parallel.h"
 #include "core/random.h"
@@ -91,6 +96,18 @@ TopologyPtr box_topology(Coord lower, Coord upper)
         for (int y = first.y; y < upper.y; y += 8)
             for (int z = first.z; z < upper.z; z += 8) origins.push_back({x, y, z});
     return LeafTopology::build(std::move(origins));
+}
+
+void prefer_large_pages([[maybe_unused]] void* block, [[maybe_unused]] std::size_t bytes)
+{
+#ifdef MADV_HUGEPAGE
+    constexpr std::uintptr_t kPage = std::uintptr_t(1) << 21;
+    const auto begin = (reinterpret_cast<std::uintptr_t>(block) + kPage - 1) & ~(kPage - 1);
+    const auto end = (reinterpret_cast<std::uintptr_t>(block) + bytes) & ~(kPage - 1);
+    // Small blocks stay as they are: half a page unused would be felt there.
+    if (end > begin && end - begin >= 4 * kPage)
+        madvise(reinterpret_cast<void*>(begin), end - begin, MADV_HUGEPAGE);
+#endif
 }
 
 }  // namespace sekitei

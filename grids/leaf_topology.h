@@ -71,4 +71,8 @@ using TopologyPtr = std::shared_ptr<const LeafTopology>;
 /// All leaves that meet the voxels [lower, upper).
 TopologyPtr box_topology(Coord lower, Coord upper);
 
+/// Asks for large pages under a block, where the system has them: first touches cost a tenth. A
+/// hint; whether it is followed changes nothing but time and the granularity of memory.
+void prefer_large_pages(void* block, std::size_t bytes);
+
 }  // namespace sekitei
