@@ -82,8 +82,12 @@ double box_distance2(Vec3d p, Vec3d lower, Vec3d upper)
 
 /// The arrays that say where a candidate lies.
 constexpr std::vector<double> PolylineIndex::Candidates::*kGeometry[] = {
-    &PolylineIndex::Candidates::ax, &PolylineIndex::Candidates::ay, &PolylineIndex::Candidates::az,
-    &PolylineIndex::Candidates::dx, &PolylineIndex::Candidates::dy, &PolylineIndex::Candidates::dz,
+    &PolylineIndex::Candidates::ax,
+    &PolylineIndex::Candidates::ay,
+    &PolylineIndex::Candidates::az,
+    &PolylineIndex::Candidates::dx,
+    &PolylineIndex::Candidates::dy,
+    &PolylineIndex::Candidates::dz,
     &PolylineIndex::Candidates::inverse_length2};
 
 /// Eight doubles side by side: one register, two or four, as the processor has them.
@@ -142,7 +146,7 @@ Work& work_of_this_thread()
 #define SEKITEI_INLINE inline __attribute__((always_inline))
 
 /// Lists in `chosen`, ascending, those of the candidates that no near one beats in the whole cube
-/// centre +- half; returns how many. Stops early once all are of one line if that `suffices`.
+/// centre +- half; returns how many. Stops early once all are of one line if that suffices.
 ///
 /// With w the way from candidate j's nearest point to the centre, d = |w|, convexity gives for each
 /// p of the cube distance_j(p) >= d + (p - centre) . w / d. Minus the (convex) distance to the
@@ -153,10 +157,16 @@ SEKITEI_INLINE std::size_t cull(const PolylineIndex::Candidates& c, Vec3d centre
 {
     const std::size_t n = c.line.size();
     const std::int32_t* line = c.line.data();
+    if (n == 0) return 0;
     Ways* const ways = work.ways.data();
     std::uint32_t* const chosen = work.chosen.data();
     const Row zero{}, one = zero + 1.0;
     const std::size_t count = (n + kLanes - 1) / kLanes;
+    // The first rival is the nearest, or nearly: to find it without branches, the number of each
+    // takes the place of the last digits of its distance.
+    constexpr std::int64_t kNumber = (1 << 20) - 1;
+    RowIds number{0, 1, 2, 3, 4, 5, 6, 7};
+    Row nearest = zero + kInfinity;
     for (std::size_t g = 0; g < count; ++g) {
         auto row = [g](const std::vector<double>& v) -> const RowAnywhere& {
             return reinterpret_cast<const RowAnywhere*>(v.data())[g];
@@ -172,24 +182,20 @@ SEKITEI_INLINE std::size_t cull(const PolylineIndex::Candidates& c, Vec3d centre
         w.z = pz - dz * t;
         w.length2 = w.x * w.x + w.y * w.y + w.z * w.z;
         w.ahead = zero;
+        const RowIds numbered =
+            (reinterpret_cast<RowIds>(w.length2) & ~kNumber) | (number & kNumber);
+        const Row far = reinterpret_cast<Row>(numbered);
+        nearest = far < nearest ? far : nearest;
+        number += kLanes;
     }
+    for (int lanes = 4; lanes > 0; lanes /= 2)
+        for (int k = 0; k < lanes; ++k)
+            nearest[k] = nearest[k] < nearest[k + lanes] ? nearest[k] : nearest[k + lanes];
+
     std::size_t kept = n;
     for (std::size_t j = 0; j < n; ++j) chosen[j] = static_cast<std::uint32_t>(j);
-    std::int32_t last = -1;  // line of the last rival
-    for (int round = 0; round < kRivals; ++round) {
-        // The nearest of what is left is the rival, first of all lines, then of another one.
-        std::size_t rival = n;
-        double least2 = kInfinity;
-        for (std::size_t k = 0; k < kept; ++k) {
-            const std::size_t j = chosen[k];
-            const double d2 = ways[j / kLanes].length2[j % kLanes];
-            const bool nearer = d2 < least2 && line[j] != last;
-            rival = nearer ? j : rival;
-            least2 = nearer ? d2 : least2;
-        }
-        if (rival == n) break;
-        last = line[rival];
-
+    auto rival = std::bit_cast<std::uint64_t>(double(nearest[0])) & std::uint64_t(kNumber);
+    for (int round = 0;;) {
         // Its distance from the corners of the cube.
         const Segment r = segment_of(c, rival);
         const Row px = Row{-half, half, -half, half, -half, half, -half, half} + (centre.x - r.a.x);
@@ -229,10 +235,21 @@ SEKITEI_INLINE std::size_t cull(const PolylineIndex::Candidates& c, Vec3d centre
             still += ways[j / kLanes].ahead[j % kLanes] < 0 ? 0 : 1;
         }
         kept = still;
-        if (kept == 1) break;
-        if (one_line_suffices && line[chosen[0]] == line[chosen[kept - 1]]) break;
+        if (kept == 1 || ++round == kRivals) return kept;
+        if (one_line_suffices && line[chosen[0]] == line[chosen[kept - 1]]) return kept;
+
+        // The next rival is the nearest of what is left of other lines.
+        const std::int32_t last = line[rival];
+        double least2 = kInfinity;
+        for (std::size_t k = 0; k < kept; ++k) {
+            const std::size_t j = chosen[k];
+            const double d2 = ways[j / kLanes].length2[j % kLanes];
+            const bool nearer = d2 < least2 && line[j] != last;
+            rival = nearer ? j : rival;
+            least2 = nearer ? d2 : least2;
+        }
+        if (least2 == kInfinity) return kept;
     }
-    return kept;
 }
 
 /// Line, and arc length if wanted, of the nearest of the chosen candidates for each voxel of the
@@ -254,7 +271,7 @@ SEKITEI_INLINE void nearest_in_octant(Coord low, const PolylineIndex::Candidates
         for (int i = 0; i < kEdge; ++i) {
             least[i] = zero + kInfinity;
             along[i] = zero;
-            owner[i] = RowIds{};
+            owner[i] = RowIds{} - 1;
         }
         for (std::size_t k = 0; k < n; ++k) {
             const Segment s = segment_of(c, chosen[k]);
@@ -277,8 +294,8 @@ SEKITEI_INLINE void nearest_in_octant(Coord low, const PolylineIndex::Candidates
             const int at = first + (i * kLeafEdge + pair) * kLeafEdge;
             const ShortRowIds ids = __builtin_convertvector(owner[i], ShortRowIds);
             std::memcpy(line + at, &ids, sizeof(ids) / 2);
-            std::memcpy(line + at + kLeafEdge, reinterpret_cast<const char*>(&ids) + sizeof(ids) / 2,
-                        sizeof(ids) / 2);
+            std::memcpy(line + at + kLeafEdge,
+                        reinterpret_cast<const char*>(&ids) + sizeof(ids) / 2, sizeof(ids) / 2);
             if (!kArc) continue;
             std::memcpy(arc + at, &along[i], sizeof(Row) / 2);
             std::memcpy(arc + at + kLeafEdge,
@@ -295,12 +312,12 @@ SEKITEI_INLINE void nearest_in_octants(Coord origin, const PolylineIndex::Candid
     constexpr int kEdge = kLeafEdge / 2;
     work.make_room(c.line.size());
     for (int octant = 0; octant < 8; ++octant) {
-        const Coord low = origin + Coord(octant & 4 ? kEdge : 0, octant & 2 ? kEdge : 0,
-                                         octant & 1 ? kEdge : 0);
+        const Coord low =
+            origin + Coord(octant & 4 ? kEdge : 0, octant & 2 ? kEdge : 0, octant & 1 ? kEdge : 0);
         const std::size_t kept =
             cull(c, Vec3d(low) + Vec3d(kEdge * 0.5), (kEdge - 1) * 0.5, !kArc, work);
-        const std::int32_t owner = c.line[work.chosen[0]];
-        if (!kArc && owner == c.line[work.chosen[kept - 1]]) {
+        const std::int32_t owner = kept > 0 ? c.line[work.chosen[0]] : -1;
+        if (!kArc && (kept == 0 || owner == c.line[work.chosen[kept - 1]])) {
             for (int x = 0; x < kEdge; ++x)
                 for (int y = 0; y < kEdge; ++y)
                     std::fill_n(line + leaf_offset(low + Coord(x, y, 0)), kEdge, owner);

@@ -35,20 +35,23 @@ public:
     struct Candidates {
         std::vector<std::uint32_t> segments;  ///< global segment ids, ascending
         std::vector<std::int32_t> lines;      ///< distinct line ids, ascending
-        // structure of arrays, parallel to `segments`
-        std::vector<double> ax, ay, az, dx, dy, dz, inverse_length2, arc0, length;
+        // Structure of arrays, parallel to `segments`; the first seven go on to a multiple of 8
+        // with segments where nothing is near.
+        std::vector<double> ax, ay, az, dx, dy, dz, inverse_length2;
+        std::vector<double> arc0, length;
         std::vector<std::int32_t> line;
     };
     void candidates(Vec3d centre, double rho, Candidates& out) const;
 
     /// Those of `from` that can be nearest for some point of the cube centre +- half, without those
-    /// that one near segment beats in the whole cube. `from` must hold the candidates of a larger
-    /// region, and be another object than `out`.
+    /// that one near segment beats in the whole cube. Linear in `from`, which must hold the
+    /// candidates of a larger region, and be another object than `out`.
     static void narrow(const Candidates& from, Vec3d centre, double half, Candidates& out);
 
     /// Nearest over the candidates for the 512 voxel centres of the leaf at `origin`, in leaf
-    /// order. Same line and arc as nearest(), several voxels at a time.
-    /// @param line  512 line ids
+    /// order. Same line and arc as nearest(), several voxels at a time, for each octant of the leaf
+    /// from the candidates that it cannot do without.
+    /// @param line  512 line ids; -1 without candidates
     /// @param arc   512 arc lengths [voxels], or null
     static void nearest_in_leaf(Coord origin, const Candidates& candidates, std::int32_t* line,
                                 double* arc);

@@ -81,7 +81,7 @@ void expect_equal_to_brute_force(const Polylines& lines, Coord dims)
 {
     const PolylineIndex index(lines);
     PolylineIndex::Candidates wide, block, narrow;
-    std::array<std::int32_t, kLeafSize> line;
+    std::array<std::int32_t, kLeafSize> line, only;
     std::array<double, kLeafSize> arc;
     std::vector<NearestPoint> per_line;
     for_each_leaf(dims, [&](Coord origin) {
@@ -93,6 +93,7 @@ void expect_equal_to_brute_force(const Polylines& lines, Coord dims)
         PolylineIndex::narrow(wide, centre, 3.5, narrow);
         ASSERT_LE(narrow.segments.size(), block.segments.size());
         PolylineIndex::nearest_in_leaf(origin, narrow, line.data(), arc.data());
+        PolylineIndex::nearest_in_leaf(origin, wide, only.data(), nullptr);
         for (int offset = 0; offset < kLeafSize; ++offset) {
             const Vec3d p = centre_of(leaf_coord(origin, offset));
             const NearestPoint exact = index.nearest_brute_force(p);
@@ -105,6 +106,7 @@ void expect_equal_to_brute_force(const Polylines& lines, Coord dims)
             }
             ASSERT_EQ(line[static_cast<std::size_t>(offset)], exact.line);
             ASSERT_EQ(arc[static_cast<std::size_t>(offset)], exact.arc);
+            ASSERT_EQ(only[static_cast<std::size_t>(offset)], exact.line);
             PolylineIndex::nearest_per_line(p, block, per_line);
             ASSERT_EQ(per_line.size(), block.lines.size());
             double least = INFINITY;
@@ -154,6 +156,12 @@ TEST(NearestPolyline, AnswersNoLineWhenThereIsNone)
     EXPECT_EQ(index.segment_count(), 0u);
     EXPECT_EQ(index.nearest({1, 2, 3}).line, -1);
     EXPECT_EQ(PolylineIndex::nearest({1, 2, 3}, found).line, -1);
+    PolylineIndex::Candidates narrowed;
+    PolylineIndex::narrow(found, {1, 2, 3}, 5, narrowed);
+    EXPECT_TRUE(narrowed.segments.empty());
+    std::array<std::int32_t, kLeafSize> line;
+    PolylineIndex::nearest_in_leaf({0, 0, 0}, narrowed, line.data(), nullptr);
+    EXPECT_THAT(line, testing::Each(-1));
     EXPECT_EQ(index.nearest_brute_force({1, 2, 3}).line, -1);
 }
 
