@@ -461,7 +461,7 @@ HeightFunction displaced(std::function<double(double u, double v)> share, Vec3d 
 {
     const FractalNoise noise{seed, stream, 2, (beta - 1) / 2, 6};
     const double side = std::max(dims.x, dims.y);
-    return [=](double x, double y) {
+    return [=, share = std::move(share)](double x, double y) {
         double z = share(x / dims.x, y / dims.y);
         if (amplitude > 0) z += amplitude * noise({x / side, y / side, 0});
         return z * dims.z;

@@ -566,6 +566,7 @@ std::vector<double> literal_ratios(const std::vector<double>& d)
     double mean = 0;
     for (const double x : d) mean += x / n;
     std::vector<double> ratios;
+    ratios.reserve(d.size());
     for (const double x : d) ratios.push_back(1 / n + mean - x);
     return ratios;
 }
@@ -584,6 +585,7 @@ std::vector<double> simplex_ratios(const std::vector<double>& d)
         tau = with;
     }
     std::vector<double> ratios;
+    ratios.reserve(d.size());
     for (const double x : d) ratios.push_back(std::max(0.0, tau - x));
     return ratios;
 }
