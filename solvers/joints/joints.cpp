@@ -14,6 +14,7 @@ constexpr double kDefaultSpacing = 12.5;  // [voxels], as 400 seeds on 250^2
 /// Of sqrt(area / count): 92 % of what random packing can reach [Ito2004, table 1 read as radii].
 constexpr double kRadiusShare = 0.8;
 constexpr double kLeastPlaced = 0.9;
+constexpr double kLeastWidth = 2;  // [voxels]; thinner columns cannot be told apart
 
 /// Somewhere a direction to follow.
 bool has_gradient(const VectorGrid& gradient)
@@ -78,10 +79,16 @@ std::vector<Vec3d> thrown_seeds(const Inputs& inputs, const Params& params, std:
                         "{:g} m across; "
                         "give a spacing below {:g} m",
                         *params.spacing, area * h * h, std::sqrt(area) * h, std::sqrt(area) * h));
-    if (wanted > 1e8)
+    const double width = std::sqrt(area / wanted);
+    if (width < kLeastWidth)
         throw InvalidParameter(fmt::format(
-            "joints: spacing = {:g} m makes {} columns on {:g} m^2, must be at most 100 million",
-            params.spacing.value_or(kDefaultSpacing * h), count_text(wanted), area * h * h));
+            "joints: {} = {} makes columns {:.2g} voxels wide, must be at least {:g}: {} = {:g} at "
+            "this voxel edge of {:g} m; or make the voxels smaller",
+            params.count ? "count" : "spacing",
+            params.count ? std::to_string(*params.count)
+                         : fmt::format("{:g} m", params.spacing.value_or(kDefaultSpacing * h)),
+            width, kLeastWidth, params.count ? "at most count" : "spacing",
+            params.count ? std::floor(area / (kLeastWidth * kLeastWidth)) : kLeastWidth * h, h));
     const auto count = static_cast<std::size_t>(std::max(1.0, std::floor(wanted + 0.5)));
     const double radius = params.seed_radius ? *params.seed_radius / h
                                              : kRadiusShare * std::sqrt(area / double(count));
@@ -92,8 +99,8 @@ std::vector<Vec3d> thrown_seeds(const Inputs& inputs, const Params& params, std:
     std::vector<Vec3d> seeds;
     if (!hopeless)
         seeds = params.seed_mode == SeedMode::Plane
-                    ? poisson_disk_plane(surface, count, radius, seed)
-                    : poisson_disk(surface, count, radius, seed);
+                    ? poisson_disk_plane(surface, count, radius, seed, progress)
+                    : poisson_disk(surface, count, radius, seed, progress);
     progress.update(0.4);
     if (hopeless || double(seeds.size()) < kLeastPlaced * double(count))
         throw InvalidParameter(fmt::format(

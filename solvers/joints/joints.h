@@ -111,12 +111,12 @@ inline constexpr double kSaturation = 0.6965;
 /// The fragments always hold all the free area, so the points are distributed as by plain dart
 /// throwing.
 std::vector<Vec3d> poisson_disk(const TriMesh& surface, std::size_t count, double radius,
-                                std::uint64_t seed);
+                                std::uint64_t seed, const Progress& progress = {});
 
 /// The same on the surface's projection onto a horizontal plane, lifted vertically; surfaces facing
 /// up and down are sampled one after the other, each with its share of `count` [Ito2004].
 std::vector<Vec3d> poisson_disk_plane(const TriMesh& surface, std::size_t count, double radius,
-                                      std::uint64_t seed);
+                                      std::uint64_t seed, const Progress& progress = {});
 
 /// Fractional Lloyd sweeps on the surface: each seed moves to the centroid of its cell and back
 /// onto the surface, on the last sweep by a fraction of the way.

@@ -172,6 +172,9 @@ Bounds bounds_of(const TriMesh& mesh)
     return bounds;
 }
 
+/// Between two looks at the wish to stop: a few milliseconds of work.
+constexpr std::uint64_t kDartsPerCheck = 4096;
+
 /// A dart that stuck: where, and in which triangle of the surface.
 struct Dart {
     Vec3d at;
@@ -180,7 +183,7 @@ struct Dart {
 
 /// See poisson_disk().
 std::vector<Dart> throw_darts(const TriMesh& surface, std::size_t count, double radius,
-                              std::uint64_t seed)
+                              std::uint64_t seed, const Progress& progress)
 {
     const Bounds bounds = bounds_of(surface);
     std::vector<Dart> stuck;
@@ -226,6 +229,7 @@ std::vector<Dart> throw_darts(const TriMesh& surface, std::size_t count, double 
                             (whole ? 0.0 : std::min(double(fragments.size()), disks));
         const auto darts = static_cast<std::uint64_t>(std::max(64.0, aims));
         for (std::uint64_t k = 0; k < darts && tries < most_tries; ++k, ++tries) {
+            if (tries % kDartsPerCheck == 0) progress.check();
             const double u = uniform01(seed, kDart, tries, 0) * area;
             const auto found = std::upper_bound(area_up_to.begin(), area_up_to.end(), u);
             const auto i = static_cast<std::size_t>(std::min(found, area_up_to.end() - 1) -
@@ -243,11 +247,15 @@ std::vector<Dart> throw_darts(const TriMesh& surface, std::size_t count, double 
 
         // Narrow the aim to what is free or at the rim of several disks.
         left.clear();
+        std::size_t kept = 0;
         if (whole)
-            for (std::size_t t = 0; t < surface.triangles.size(); ++t)
+            for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
+                if (++kept % kDartsPerCheck == 0) progress.check();
                 keep(keep, triangle_of(surface, t), t, longest * longest);
+            }
         else
             for (const Fragment& f : fragments) {
+                if (++kept % kDartsPerCheck == 0) progress.check();
                 if (f.shape.longest2() > smallest * smallest)
                     keep(keep, f.shape, f.triangle,
                          std::min(longest * longest, f.shape.longest2() * 0.3));
@@ -274,7 +282,8 @@ struct Pieces {
     Bounds bounds;
     double spacing = 1;
 
-    Pieces(const TriMesh& surface, std::size_t seeds) : bounds(bounds_of(surface))
+    Pieces(const TriMesh& surface, std::size_t seeds, const Progress& progress)
+        : bounds(bounds_of(surface))
     {
         double area = 0;
         for (std::size_t t = 0; t < surface.triangles.size(); ++t)
@@ -286,8 +295,10 @@ struct Pieces {
             else
                 for (const Triangle& quarter : t.quarters()) self(self, quarter);
         };
-        for (std::size_t t = 0; t < surface.triangles.size(); ++t)
+        for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
+            if (t % 1024 == 0) progress.check();
             add(add, triangle_of(surface, t));
+        }
     }
 };
 
@@ -473,15 +484,16 @@ TriMesh cooling_surface(const Inputs& inputs, const Progress& progress)
 }
 
 std::vector<Vec3d> poisson_disk(const TriMesh& surface, std::size_t count, double radius,
-                                std::uint64_t seed)
+                                std::uint64_t seed, const Progress& progress)
 {
     std::vector<Vec3d> points;
-    for (const Dart& dart : throw_darts(surface, count, radius, seed)) points.push_back(dart.at);
+    for (const Dart& dart : throw_darts(surface, count, radius, seed, progress))
+        points.push_back(dart.at);
     return points;
 }
 
 std::vector<Vec3d> poisson_disk_plane(const TriMesh& surface, std::size_t count, double radius,
-                                      std::uint64_t seed)
+                                      std::uint64_t seed, const Progress& progress)
 {
     // Flatten the two sides apart; what stands upright has no projection.
     struct Side {
@@ -512,7 +524,7 @@ std::vector<Vec3d> poisson_disk_plane(const TriMesh& surface, std::size_t count,
                      : count - points.size();
         if (side.source.empty() || (count > 0 && share == 0)) continue;
         const std::size_t before = points.size();
-        for (const Dart& dart : throw_darts(side.flat, share, radius, hash2(seed, k))) {
+        for (const Dart& dart : throw_darts(side.flat, share, radius, hash2(seed, k), progress)) {
             // Lift by the plane of the triangle: weights of its corners from areas in the plane.
             const Triangle flat = triangle_of(side.flat, dart.triangle);
             const Triangle up = triangle_of(surface, side.source[dart.triangle]);
@@ -532,7 +544,7 @@ std::vector<Vec3d> relax(const TriMesh& surface, std::vector<Vec3d> seeds, doubl
                          const Progress& progress)
 {
     if (seeds.empty() || !(sweeps > 0)) return seeds;
-    const Pieces pieces(surface, seeds.size());
+    const Pieces pieces(surface, seeds.size(), progress);
     const int whole = static_cast<int>(std::ceil(sweeps));
     for (int k = 0; k < whole; ++k) {
         progress.update(double(k) / whole);
@@ -546,7 +558,7 @@ std::vector<Vec3d> relax_to(const TriMesh& surface, std::vector<Vec3d> seeds, do
 {
     if (seeds.empty()) return seeds;
     constexpr int kMostSweeps = 40, kBisections = 10;
-    const Pieces pieces(surface, seeds.size());
+    const Pieces pieces(surface, seeds.size(), progress);
     Cells cells = assign(pieces, seeds, progress);
     double reached = variation(pieces, cells);
     if (reached <= target) {
@@ -581,7 +593,7 @@ std::vector<Vec3d> relax_to(const TriMesh& surface, std::vector<Vec3d> seeds, do
 double area_variation(const TriMesh& surface, const std::vector<Vec3d>& seeds)
 {
     if (seeds.empty()) return 0;
-    const Pieces pieces(surface, seeds.size());
+    const Pieces pieces(surface, seeds.size(), {});
     return variation(pieces, assign(pieces, seeds, {}));
 }
 

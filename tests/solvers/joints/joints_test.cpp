@@ -543,7 +543,9 @@ TEST(Joints, NameWhatDoesNotFit)
                                        p.count = 40000000;
                                        p.seed_radius = 5 * kH;
                                    }),
-                                   {"of 40000000 seeds", "about 96"});
+                                   {"count = 40000000", "voxels wide", "at least 2"});
+    expect_error<InvalidParameter>(with_params([](Params& p) { p.spacing = 1.5 * kH; }),
+                                   {"spacing = 0.0555 m", "1.5 voxels wide", "spacing = 0.074"});
     expect_error<InvalidParameter>(with_params([](Params& p) {
                                        p.count = 400;
                                        p.spacing = 0.3;
@@ -571,6 +573,9 @@ TEST(Joints, StopWhenAsked)
     const std::atomic<bool> cancel{true};
     const Progress progress([](const std::string&, double) {}, &cancel);
     EXPECT_THROW(run(slab().inputs(), {}, 1, progress), Cancelled);
+    const TriMesh surface = cooling_surface(slab().inputs(), {});
+    EXPECT_THROW(poisson_disk(surface, 100, 2, 1, progress), Cancelled);
+    EXPECT_THROW(poisson_disk_plane(surface, 100, 2, 1, progress), Cancelled);
 }
 
 }  // namespace
