@@ -102,11 +102,11 @@ void prefer_large_pages([[maybe_unused]] void* block, [[maybe_unused]] std::size
 {
 #ifdef MADV_HUGEPAGE
     constexpr std::uintptr_t kPage = std::uintptr_t(1) << 21;
-    const auto begin = (reinterpret_cast<std::uintptr_t>(block) + kPage - 1) & ~(kPage - 1);
-    const auto end = (reinterpret_cast<std::uintptr_t>(block) + bytes) & ~(kPage - 1);
+    const auto address = reinterpret_cast<std::uintptr_t>(block);
+    const auto begin = (address + kPage - 1) & ~(kPage - 1), end = (address + bytes) & ~(kPage - 1);
     // Small blocks stay as they are: half a page unused would be felt there.
     if (end > begin && end - begin >= 4 * kPage)
-        madvise(reinterpret_cast<void*>(begin), end - begin, MADV_HUGEPAGE);
+        madvise(static_cast<char*>(block) + (begin - address), end - begin, MADV_HUGEPAGE);
 #endif
 }
 
