@@ -127,8 +127,13 @@ struct Block {
 
 class Extraction {
 public:
-    Extraction(const FloatGrid& field, double iso, const Progress& progress)
-        : field_(field), topology_(*field.topology()), progress_(progress), iso_(iso)
+    Extraction(const FloatGrid& field, double iso, const Transform& transform,
+               const Progress& progress)
+        : field_(field),
+          topology_(*field.topology()),
+          transform_(transform),
+          progress_(progress),
+          iso_(iso)
     {
         // value >= iso for doubles is value >= the least float not below iso.
         float_iso_ = static_cast<float>(iso);
@@ -354,7 +359,7 @@ private:
                     constexpr double kLeast = 1e-3;
                     const double s = t > kLeast ? (t < 1 - kLeast ? t : 1 - kLeast) : kLeast;
                     const Vec3d p = centre_of(block.origin + Coord(x, y, z)) + direction * s;
-                    mesh.vertices[id] = Vec3f(field_.transform().world(p));
+                    mesh.vertices[id] = Vec3f(transform_.world(p));
                     ids[node * 8 + d] = id++;
                 }
             }
@@ -427,6 +432,7 @@ private:
 
     const FloatGrid& field_;
     const LeafTopology& topology_;
+    const Transform& transform_;
     const Progress& progress_;
     double iso_;
     float float_iso_ = 0;
@@ -440,7 +446,13 @@ private:
 
 TriMesh marching_tetrahedra(const FloatGrid& field, double iso, const Progress& progress)
 {
-    return Extraction(field, iso, progress).run();
+    return marching_tetrahedra(field, iso, field.transform(), progress);
+}
+
+TriMesh marching_tetrahedra(const FloatGrid& field, double iso, const Transform& transform,
+                            const Progress& progress)
+{
+    return Extraction(field, iso, transform, progress).run();
 }
 
 }  // namespace sekitei

@@ -18,5 +18,8 @@ namespace sekitei {
 /// Triangles are counter-clockwise seen from lower values. Vertices in world space.
 /// @throws LimitExceeded  more than 2^32 - 1 vertices
 TriMesh marching_tetrahedra(const FloatGrid& field, double iso, const Progress& progress);
+/// The same with another transform than the field's own.
+TriMesh marching_tetrahedra(const FloatGrid& field, double iso, const Transform& transform,
+                            const Progress& progress);
 
 }  // namespace sekitei

@@ -403,77 +403,98 @@ void clip(std::vector<Corner>& polygon, std::vector<Corner>& scratch)
 TriMesh cooling_surface(const Inputs& inputs, const Progress& progress)
 {
     // In voxel units from the start: world coordinates far from the origin would cost digits.
-    TriMesh whole;
-    {
-        FloatGrid body = inputs.body_sdf;
-        body.set_transform({});
-        whole = marching_tetrahedra(body, 0, progress);
-    }
+    const TriMesh whole = marching_tetrahedra(inputs.body_sdf, 0, {}, progress);
     const Vec3d size(inputs.domain.dims);
     const bool has_slow = inputs.slow_sdf.leaf_count() > 0;
-    GridReader<float> slow(inputs.slow_sdf);
 
+    // What is left of each triangle: all, nothing, or a polygon of so many corners.
+    constexpr std::uint8_t kAll = 0xFF;
+    constexpr std::size_t kChunk = 4096;
+    std::vector<std::uint8_t> left(whole.triangles.size());
+    std::vector<std::vector<Vec3f>> corners_left((left.size() + kChunk - 1) / kChunk);
+    // The tracer calls the higher side inside, here the cold one: its triangles face the lava.
+    auto corners_of = [&](std::size_t t) {
+        const auto& v = whole.triangles[t];
+        return std::array<std::uint32_t, 3>{v[0], v[2], v[1]};
+    };
+    parallel_for(corners_left.size(), [&](std::size_t chunk) {
+        progress.check();
+        GridReader<float> slow(inputs.slow_sdf);
+        std::vector<Corner> polygon, scratch;
+        const std::size_t end = std::min(left.size(), (chunk + 1) * kChunk);
+        for (std::size_t t = chunk * kChunk; t < end; ++t) {
+            const std::array<std::uint32_t, 3> corners = corners_of(t);
+            const Triangle shape{Vec3d(whole.vertices[corners[0]]),
+                                 Vec3d(whole.vertices[corners[1]]),
+                                 Vec3d(whole.vertices[corners[2]])};
+            const Vec3d outward = normalized(cross(shape.b - shape.a, shape.c - shape.a));
+            const Vec3d low = min(min(shape.a, shape.b), shape.c);
+            const Vec3d high = max(max(shape.a, shape.b), shape.c);
+
+            // Walls of the box, where the level set was closed, are no surface of the lava.
+            bool outside = false, wall = false, crosses = false;
+            for (int axis = 0; axis < 3; ++axis) {
+                outside = outside || high[axis] <= 0 || low[axis] >= size[axis];
+                crosses = crosses || low[axis] < 0 || high[axis] > size[axis];
+                wall = wall || (std::abs(outward[axis]) > 0.7 &&
+                                (high[axis] <= 0.5 || low[axis] >= size[axis] - 0.5));
+            }
+            if (outside || wall) continue;
+
+            polygon.clear();
+            for (const Vec3d& p : {shape.a, shape.b, shape.c}) polygon.push_back({p, 1});
+            if (crosses)
+                for (int axis = 0; axis < 3; ++axis)
+                    for (const bool upper : {false, true}) {
+                        for (Corner& c : polygon)
+                            c.keep = upper ? size[axis] - c.p[axis] : c.p[axis];
+                        clip(polygon, scratch);
+                    }
+            // Behind a contact of slow part and cold there is no lava to crack. Looked up a little
+            // inside, because on the contact itself both level sets are zero.
+            bool slow_behind = false;
+            if (has_slow && polygon.size() >= 3) {
+                for (Corner& c : polygon) {
+                    c.keep = double(slow.sample(c.p - outward * 0.75));
+                    slow_behind = slow_behind || c.keep < 0;
+                }
+                if (slow_behind) clip(polygon, scratch);
+            }
+            if (polygon.size() < 3) continue;
+            left[t] = crosses || slow_behind ? static_cast<std::uint8_t>(polygon.size()) : kAll;
+            if (left[t] != kAll)
+                for (const Corner& c : polygon) corners_left[chunk].push_back(Vec3f(c.p));
+        }
+    });
+
+    // Number the vertices in the order of the triangles.
     TriMesh cut;
     constexpr auto kUnused = 0xFFFFFFFFu;
     std::vector<std::uint32_t> kept_as(whole.vertices.size(), kUnused);
-    std::vector<Corner> polygon, scratch;
-    for (std::size_t t = 0; t < whole.triangles.size(); ++t) {
-        if (t % 65536 == 0) progress.check();
-        // The tracer calls the higher side inside, here the cold one: its triangles face the lava.
-        const auto& v = whole.triangles[t];
-        const std::array<std::uint32_t, 3> corners{v[0], v[2], v[1]};
-        const Triangle shape{Vec3d(whole.vertices[corners[0]]), Vec3d(whole.vertices[corners[1]]),
-                             Vec3d(whole.vertices[corners[2]])};
-        const Vec3d outward = normalized(cross(shape.b - shape.a, shape.c - shape.a));
-        const Vec3d low = min(min(shape.a, shape.b), shape.c);
-        const Vec3d high = max(max(shape.a, shape.b), shape.c);
-
-        // Walls of the box, where the level set was closed, are no surface of the lava.
-        bool outside = false, wall = false, crosses = false;
-        for (int axis = 0; axis < 3; ++axis) {
-            outside = outside || high[axis] <= 0 || low[axis] >= size[axis];
-            crosses = crosses || low[axis] < 0 || high[axis] > size[axis];
-            wall = wall || (std::abs(outward[axis]) > 0.7 &&
-                            (high[axis] <= 0.5 || low[axis] >= size[axis] - 0.5));
+    std::vector<Vec3f>::const_iterator next;
+    for (std::size_t t = 0; t < left.size(); ++t) {
+        if (t % kChunk == 0) {
+            progress.check();
+            next = corners_left[t / kChunk].cbegin();
         }
-        if (outside || wall) continue;
-
-        polygon.clear();
-        for (const Vec3d& p : {shape.a, shape.b, shape.c}) polygon.push_back({p, 1});
-        if (crosses)
-            for (int axis = 0; axis < 3; ++axis)
-                for (const bool upper : {false, true}) {
-                    for (Corner& c : polygon) c.keep = upper ? size[axis] - c.p[axis] : c.p[axis];
-                    clip(polygon, scratch);
-                }
-        // Behind a contact of slow part and cold there is no lava to crack. Looked up a little
-        // inside, because on the contact itself both level sets are zero.
-        bool slow_behind = false;
-        if (has_slow && polygon.size() >= 3) {
-            for (Corner& c : polygon) {
-                c.keep = double(slow.sample(c.p - outward * 0.75));
-                slow_behind = slow_behind || c.keep < 0;
-            }
-            if (slow_behind) clip(polygon, scratch);
-        }
-        if (polygon.size() < 3) continue;
-
-        if (!crosses && !slow_behind) {
-            std::array<std::uint32_t, 3> kept;
-            for (std::size_t k = 0; k < 3; ++k) {
-                std::uint32_t& as = kept_as[corners[k]];
+        if (left[t] == 0) continue;
+        if (left[t] == kAll) {
+            std::array<std::uint32_t, 3> kept = corners_of(t);
+            for (std::uint32_t& corner : kept) {
+                std::uint32_t& as = kept_as[corner];
                 if (as == kUnused) {
                     as = static_cast<std::uint32_t>(cut.vertices.size());
-                    cut.vertices.push_back(whole.vertices[corners[k]]);
+                    cut.vertices.push_back(whole.vertices[corner]);
                 }
-                kept[k] = as;
+                corner = as;
             }
             cut.triangles.push_back(kept);
             continue;
         }
         const auto first = static_cast<std::uint32_t>(cut.vertices.size());
-        for (const Corner& c : polygon) cut.vertices.push_back(Vec3f(c.p));
-        for (std::uint32_t k = 2; k < polygon.size(); ++k) {
+        cut.vertices.insert(cut.vertices.end(), next, next + left[t]);
+        next += left[t];
+        for (std::uint32_t k = 2; k < left[t]; ++k) {
             const std::array<std::uint32_t, 3> fan{first, first + k - 1, first + k};
             const Triangle piece{Vec3d(cut.vertices[fan[0]]), Vec3d(cut.vertices[fan[1]]),
                                  Vec3d(cut.vertices[fan[2]])};
