@@ -411,8 +411,7 @@ int run_command_line(int argc, char** argv)
     try {
         return parse_and_run(argc, argv);
     } catch (const Cancelled&) {
-        complain(
-            "interrupted; nothing half-written is left, `sekitei run` goes on where it stopped");
+        complain("interrupted; nothing half-written is left");
         return interrupted_exit_code();
     } catch (const Error& error) {
         complain(error.what());

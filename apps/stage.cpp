@@ -7,6 +7,7 @@
 #include "core/error.h"
 #include "core/file_output.h"
 #include "core/log.h"
+#include "core/log.h"
 
 namespace sekitei::apps {
 namespace {
@@ -86,6 +87,16 @@ InvalidInput named_after(const std::string& file, const InvalidInput& error)
     if (file.empty() || error.code() != ExitCode::BadInput || what.find(file) != std::string::npos)
         return error;
     return InvalidInput(file + ": " + what, error.code());
+}
+
+void warn_unused(Stage& stage, const std::vector<std::string>& names, const std::string& why)
+{
+    const auto fresh = make_stage(stage.info().name);
+    const ParamList now = stage.params(), usual = fresh->params();
+    for (const std::string& name : names)
+        if (find_param(now, name)->get() != find_param(usual, name)->get())
+            log::warning("{}: {} = {} has no effect {}", stage.info().name, name,
+                         find_param(now, name)->value_text(), why);
 }
 
 void check_memory(const std::string& who, double bytes, double limit)

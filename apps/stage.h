@@ -94,6 +94,10 @@ void log_mesh_report(const std::filesystem::path& file, const MeshReadReport& re
 /// What a file is to blame for begins with its name; the name is not repeated.
 InvalidInput named_after(const std::string& file, const InvalidInput& error);
 
+/// Warns of each of these parameters whose value is not the default although nothing reads it now.
+/// @param why  "with cut = none"
+void warn_unused(Stage& stage, const std::vector<std::string>& names, const std::string& why);
+
 /// @throws LimitExceeded  naming what is needed, the limit and the option to raise it
 void check_memory(const std::string& who, double bytes, double limit);
 

@@ -343,6 +343,26 @@ bool looks_like_stl(std::string_view bytes)
     return begins_like_text_stl(bytes);
 }
 
+/// An STL joins its triangles by equal coordinates only, and 1e-17 and 0 are not equal: what is
+/// rounding beside the size of the whole becomes zero.
+void snap_to_zero(std::string& binary)
+{
+    float largest = 0;
+    auto each = [&](auto&& f) {
+        for (std::size_t at = kStlHeader; at + kStlTriangle <= binary.size(); at += kStlTriangle)
+            for (std::size_t k = 3; k < 12; ++k) f(binary.data() + at + 4 * k);
+    };
+    auto value = [](const char* at) {
+        float v;
+        std::memcpy(&v, at, sizeof v);
+        return v;
+    };
+    each([&](const char* at) { largest = std::max(largest, std::abs(value(at))); });
+    each([&](char* at) {
+        if (std::abs(value(at)) < 1e-7f * largest) std::memset(at, 0, sizeof(float));
+    });
+}
+
 Polygons read_stl(std::string_view bytes, const std::string& name)
 {
     Polygons out;
@@ -382,6 +402,7 @@ Polygons read_stl(std::string_view bytes, const std::string& name)
     if (triangles > 0x7FFFFFFF / 3)
         throw LimitExceeded(
             fmt::format("{}: {} triangles, at most 715 million in an STL", name, triangles));
+    snap_to_zero(checked);
     read_by_openmesh(std::move(checked), ".stl", true, triangles, out);
     out.merged = 3 * triangles - std::min<std::uint64_t>(3 * triangles, out.vertices.size());
     return out;

@@ -208,6 +208,7 @@ RawGrid encode_values(const LeafGrid<T>& given, const Grid& grid, bool half,
     raw.meta["file_bbox_min"] = vdb::value_meta("vec3i", box.lower);
     raw.meta["file_bbox_max"] = vdb::value_meta("vec3i", box.upper);
     raw.meta["file_voxel_count"] = vdb::value_meta("int64", static_cast<std::int64_t>(box.count));
+    raw.meta["file_mem_bytes"] = vdb::value_meta("int64", static_cast<std::int64_t>(raw.memory));
     raw.meta["file_compression"] = vdb::text_meta("blosc + active values");
     if (raw.half) raw.meta["is_saved_as_half_float"] = vdb::value_meta("bool", true);
     if (!grid.vector_type.empty()) raw.meta["vector_type"] = vdb::text_meta(grid.vector_type);
@@ -829,6 +830,9 @@ VdbFileInfo inspect_vdb(const fs::path& path, const Progress& progress)
         if (const auto c = grid.metadata.find(count);
             c != grid.metadata.end() && c->is_number_integer() && c->get<std::int64_t>() > 0)
             grid.active_voxels = c->get<std::uint64_t>();
+        if (const auto m = grid.metadata.find("file_mem_bytes");
+            m != grid.metadata.end() && m->is_number_integer() && m->get<std::int64_t>() > 0)
+            grid.memory = m->get<std::uint64_t>();
         if (entry.map.kind == vdb::Map::Kind::Uniform) {
             const Transform t = transform_of(entry);
             grid.voxel = t.voxel;

@@ -56,6 +56,7 @@ Scene read_vdb_stream(int file_descriptor, const ReadOptions& options = {},
 struct VdbGridInfo {
     std::string name, type, grid_class, unit, stage, hash;
     std::uint64_t active_voxels = 0, bytes_on_disk = 0;
+    std::uint64_t memory = 0;  ///< bytes once loaded, as the file says; 0 if it does not
     double voxel = 0;
     Vec3d lower, upper;  ///< world bounds of active voxels
     bool points = false;

@@ -908,6 +908,7 @@ RawGrid encode_tree(const LeafGrid<T>& grid, bool half, const Progress& progress
     std::vector<Placed> placed;
     for (std::size_t i = 0; i < kinds.size(); ++i) {
         if (kinds[i] == LeafKind::Empty) continue;
+        if (kinds[i] == LeafKind::Dense) raw.memory += kLeafSize * sizeof(T) + sizeof(LeafMask);
         const Coord o = grid.origin(i);
         placed.push_back({{o.x & ~4095, o.y & ~4095, o.z & ~4095},
                           (middle_slot(o) << 12) | low_slot(o),

@@ -58,6 +58,7 @@ struct RawGrid {
     std::uint32_t compression = 0;
     MetaTable meta;
     std::string map, topology, buffers;
+    std::uint64_t memory = 0;  ///< bytes of the leaves' values once read; set by encode_tree()
 };
 
 /// A grid's descriptor and what precedes its tree.

@@ -31,6 +31,7 @@ Json describe_scene(const std::string& file)
                       {"hash", g.hash},
                       {"active_voxels", g.active_voxels},
                       {"bytes_on_disk", g.bytes_on_disk},
+                      {"bytes_in_memory", g.memory},
                       {"voxel_m", g.voxel},
                       {"points", g.points}};
         if (g.active_voxels > 0) entry["bounds_m"] = bounds_json(g.lower, g.upper);
@@ -73,8 +74,8 @@ std::string scene_text(const Json& j)
         text += fmt::format("box {} x {} x {} voxels of {} m\n", j["domain"]["dims"][0].get<int>(),
                             j["domain"]["dims"][1].get<int>(), j["domain"]["dims"][2].get<int>(),
                             j["domain"]["voxel_m"].get<double>());
-    text += fmt::format("\n{:<26} {:<8} {:<12} {:>14} {:>10} {:>8}  {:<6} {}\n", "grid", "type",
-                        "class", "active voxels", "on disk", "voxel m", "unit", "bounds m");
+    text += fmt::format("\n{:<26} {:<8} {:<12} {:>14} {:>10} {:>10} {:>8}  {:<6} {}\n", "grid", "type",
+                        "class", "active voxels", "on disk", "in memory", "voxel m", "unit", "bounds m");
     for (const Json& g : j["grids"]) {
         std::string bounds;
         if (g.contains("bounds_m")) {
@@ -83,11 +84,12 @@ std::string scene_text(const Json& j)
             bounds = fmt::format("{:.4g},{:.4g},{:.4g} to {:.4g},{:.4g},{:.4g}", lower[0], lower[1],
                                  lower[2], upper[0], upper[1], upper[2]);
         }
-        text += fmt::format("{:<26} {:<8} {:<12} {:>14} {:>10} {:>8.4g}  {:<6} {}\n",
+        text += fmt::format("{:<26} {:<8} {:<12} {:>14} {:>10} {:>10} {:>8.4g}  {:<6} {}\n",
                             g["name"].get<std::string>(),
                             g["points"].get<bool>() ? "points" : g["type"].get<std::string>(),
                             g["class"].get<std::string>(), g["active_voxels"].get<std::uint64_t>(),
                             bytes_text(g["bytes_on_disk"].get<double>()),
+                            bytes_text(g["bytes_in_memory"].get<double>()),
                             g["voxel_m"].get<double>(), g["unit"].get<std::string>(), bounds);
     }
     if (!j["history"].empty()) text += "\nhistory\n";

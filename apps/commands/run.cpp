@@ -3,6 +3,7 @@
 #include "apps/commands/commands.h"
 #include "apps/console.h"
 #include "apps/runner.h"
+#include "core/error.h"
 #include "core/log.h"
 
 namespace sekitei::apps {
@@ -18,7 +19,14 @@ int command_run(const std::string& file, const std::vector<std::string>& overrid
     options.force = common.force;
     options.memory_limit = common.memory_limit;
     options.fix_nan = common.fix_nan;
-    const Json summary = run_recipe(recipe, options);
+    const Json summary = [&] {
+        try {
+            return run_recipe(recipe, options);
+        } catch (const Cancelled&) {
+            log::info("finished stages are kept; the same command goes on from there");
+            throw;
+        }
+    }();
     if (!dry_run) {
         const double seconds =
             std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();

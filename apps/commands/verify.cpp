@@ -21,6 +21,9 @@ int command_verify(const std::vector<std::string>& files, const Common& common)
                 found.push_back(fmt::format("{}: {}", file, name));
         } else if (!std::filesystem::exists(file))
             throw InvalidInput(fmt::format("{}: no such file", file));
+        else if (std::filesystem::path(file).extension() != ".vdb")
+            throw InvalidParameter(
+                fmt::format("verify {}: takes scenes (.vdb) and manifests (.json)", file));
         else {
             try {
                 const VerifyResult result = verify_vdb(file);

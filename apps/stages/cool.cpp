@@ -19,8 +19,11 @@ lava::PresetDefaults recommended(const Scene& scene)
         if (made->contains("preset")) find_param(list, "preset")->set((*made)["preset"]);
         return lava::preset_defaults(params.preset);
     }
-    return {};
+    return {.generic = true};
 }
+
+/// Two buffers, gradients and the scene's own grids.
+constexpr double kBytesPerCell = 100;
 
 class CoolStage : public Stage {
 public:
@@ -42,19 +45,21 @@ public:
 
     Need estimate(SceneOutline& outline, const StageContext&) override
     {
-        const Coord d = outline.heat_domain.dims;
-        const double cells =
-            d.x > 0 ? outline.heat_domain.voxel_count() : outline.domain.voxel_count() / 512;
-        return {cells, cells * 60, cells * 20};
+        const double cells = outline.heat_domain.voxel_count();
+        return {cells, cells * kBytesPerCell, cells * 20};
     }
 
     Json run(Scene& scene, const StageContext& context) override
     {
         const IntGrid& region = scene.ints("region_coarse");
         const lava::PresetDefaults defaults = recommended(scene);
-        const cooling::Inputs inputs{region, scene.heat_domain, defaults.heat_steps,
+        const int steps = defaults.generic ? cooling::suitable_steps(region, scene.heat_domain,
+                                                                     params_.alpha,
+                                                                     defaults.heat_steps)
+                                           : defaults.heat_steps;
+        const cooling::Inputs inputs{region, scene.heat_domain, steps,
                                      defaults.plateau_share};
-        check_memory("cool", scene.heat_domain.voxel_count() * 60, context.memory_limit);
+        check_memory("cool", scene.heat_domain.voxel_count() * kBytesPerCell, context.memory_limit);
 
         cooling::Checkpoint checkpoint;
         if (!context.checkpoint.empty()) {
@@ -87,7 +92,7 @@ public:
         scene.put("temperature", std::move(result.temperature), "K", "cool");
         scene.put("temperature_gradient", std::move(result.gradient), "", "cool",
                   "covariant normalize");
-        scene.put("temperature_gradient_mag", std::move(result.gradient_magnitude), "K", "cool");
+        scene.put("temperature_gradient_mag", std::move(result.gradient_magnitude), "K/cell", "cool");
         return {{"steps", result.steps}, {"last_change_K", result.last_change}};
     }
 

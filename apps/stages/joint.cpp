@@ -72,12 +72,19 @@ public:
         for (Param& p : describe_params(files_)) list.push_back(std::move(p));
         return list;
     }
-    void validate() override { joints::validate(params_); }
+    void validate() override
+    {
+        joints::validate(params_);
+        if (params_.target_cv) warn_unused(*this, {"maturity"}, "with target_cv");
+        if (!files_.seeds.empty())
+            warn_unused(*this, {"spacing", "count", "seed_radius", "seed_mode", "maturity", "target_cv"},
+                        "with seeds of your own");
+    }
 
     Need estimate(SceneOutline& outline, const StageContext&) override
     {
         const double voxels = outline.lava_voxels;
-        return {voxels, voxels * (params_.arc ? 10 : 6), voxels * (params_.arc ? 6 : 2)};
+        return {voxels, memory(voxels), voxels * (params_.arc ? 6 : 2)};
     }
 
     Json run(Scene& scene, const StageContext& context) override
@@ -98,7 +105,7 @@ public:
         if (!files_.seeds.empty())
             inputs.explicit_seeds = read_points_csv(resolve(context, files_.seeds));
         const double voxels = static_cast<double>(inputs.region.active_count());
-        check_memory("joint", voxels * (params_.arc ? 10 : 6), context.memory_limit);
+        check_memory("joint", memory(voxels), context.memory_limit);
 
         joints::Result result = joints::run(inputs, params_, context.seed, context.progress);
         Json stops = Json::object();
@@ -116,6 +123,9 @@ public:
     }
 
 private:
+    /// Bytes at the peak: columns, arcs, regions and buffers a voxel, and what does not grow with them.
+    double memory(double voxels) const { return 1e8 + voxels * (params_.arc ? 11 : 7); }
+
     joints::Params params_;
     Files files_;
 };

@@ -29,6 +29,26 @@ struct FileForm {
     }
 };
 
+/// Region ids written as floats, by programs that have no integer grids.
+/// @throws InvalidInput  a value that is not 0, 1 or 2
+IntGrid whole_numbers(const FloatGrid& floats, const std::string& file)
+{
+    auto id_of = [&](float value) {
+        const auto id = static_cast<std::int32_t>(value);
+        if (static_cast<float>(id) != value || id < lava::kLava || id > lava::kSlow)
+            throw InvalidInput(fmt::format(
+                "{}: grid 'region' holds {}, must be 0 (lava), 1 (cold) or 2 (slow)", file, value));
+        return id;
+    };
+    auto ids = IntGrid::uninitialised(floats.topology(), floats.transform(), id_of(floats.background()));
+    for (std::size_t leaf = 0; leaf < floats.leaf_count(); ++leaf) {
+        ids.mask(leaf) = floats.mask(leaf);
+        for (int k = 0; k < kLeafSize; ++k) ids.values(leaf)[k] = id_of(floats.at(leaf, k));
+    }
+    ids.compress();
+    return ids;
+}
+
 class LavaStage : public Stage {
 public:
     const StageInfo& info() const override
@@ -45,13 +65,38 @@ public:
         for (Param& p : describe_params(form_)) list.push_back(std::move(p));
         return list;
     }
-    void validate() override { lava::validate(params_); }
+    void validate() override
+    {
+        lava::validate(params_);
+        const std::string why =
+            fmt::format("with preset = {}",
+                        choice_names(params_.preset)[static_cast<std::size_t>(params_.preset)]);
+        const bool map = params_.preset == lava::Preset::HeightMap;
+        const bool mesh = params_.preset == lava::Preset::Mesh;
+        const bool volume = params_.preset == lava::Preset::Volume;
+        if (!map)
+            warn_unused(*this,
+                        {"height_map", "metres_per_pixel", "height_low", "height_high", "base",
+                         "cold_ground"},
+                        why);
+        if (!mesh)
+            warn_unused(*this,
+                        {"mesh", "mesh_scale", "mesh_up", "strict", "slow_slope", "slow_group",
+                         "slow_thickness"},
+                        why);
+        if (!volume) warn_unused(*this, {"volume"}, why);
+        if (!map && !mesh && !volume) warn_unused(*this, {"slow", "slow_below", "margin"}, why);
+        else warn_unused(*this, {"noise_amplitude", "noise_beta"}, why);
+    }
 
     Need estimate(SceneOutline& outline, const StageContext& context) override
     {
         load(context);
         const lava::Estimate e = estimated(context);
         outline.domain.dims = e.dims;
+        outline.domain.transform.voxel = e.voxel;
+        outline.heat_domain.dims = e.heat_dims;
+        outline.heat_domain.transform.voxel = e.heat_cell;
         outline.lava_voxels = e.voxels;
         return {e.voxels, e.bytes, e.bytes / 8};
     }
@@ -133,6 +178,9 @@ private:
             options.fix_nan = context.fix_nan;
             options.memory_limit = context.memory_limit;
             volume_ = read_vdb(required(params_.volume, "volume"), options, context.progress);
+            if (const auto region = volume_.grids.find("region"); region != volume_.grids.end())
+                if (const auto* floats = std::get_if<FloatGrid>(&region->second.values))
+                    volume_.put("region", whole_numbers(*floats, params_.volume.string()), "");
             inputs_.volume = &volume_;
         }
         loaded_ = true;

@@ -49,14 +49,16 @@ public:
 
     Need estimate(SceneOutline& outline, const StageContext&) override
     {
-        // A surface of n^(2/3) voxels a face; a cut rock has several times that of its box.
-        const double surface = 8 * std::pow(std::max(1.0, outline.lava_voxels), 2.0 / 3);
-        return {surface, surface * 300, surface * 200};
+        // A cube of n voxels has 6 n^(2/3) faces with about four triangles each; joints double that.
+        const double triangles = 50 * std::pow(std::max(1.0, outline.lava_voxels), 2.0 / 3);
+        return {outline.lava_voxels, memory(triangles), triangles * 38};
     }
 
     Json run(Scene& scene, const StageContext& context) override
     {
         const FloatGrid& field = scene.floats(params_.grid);
+        check_memory("mesh", memory(kTrianglesPerLeaf * double(field.dense_leaf_count())),
+                     context.memory_limit);
         const bool level_set = scene.grids.at(params_.grid).grid_class == GridClass::LevelSet;
         double iso = 0;
         if (params_.iso)
@@ -102,6 +104,10 @@ private:
             },
             [](double a, double b) { return std::max(a, b); });
     }
+
+    /// Bytes at the peak: the mesh, its attributes and its file, beside the grids it comes from.
+    static double memory(double triangles) { return 4e8 + triangles * 150; }
+    static constexpr double kTrianglesPerLeaf = 400;  // of a leaf that the surface meets
 
     MeshParams params_;
 };

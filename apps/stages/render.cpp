@@ -2,6 +2,9 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <cmath>
+
 #include "apps/stages/stages.h"
 #include "core/error.h"
 
@@ -56,6 +59,8 @@ public:
     void validate() override
     {
         render::validate(params_);
+        if (choice_.slice.empty())
+            warn_unused(*this, {"axis", "at", "low", "high"}, "without slice");
         if (choice_.axis != "x" && choice_.axis != "y" && choice_.axis != "z")
             throw InvalidParameter(
                 fmt::format("render: axis = {}, must be x, y or z", choice_.axis));
@@ -65,10 +70,11 @@ public:
                 params_.width));
     }
 
-    Need estimate(SceneOutline&, const StageContext&) override
+    Need estimate(SceneOutline& outline, const StageContext&) override
     {
         const double pixels = double(params_.width) * params_.height;
-        return {pixels, pixels * 40 + 1e8, pixels * 3};
+        const double triangles = 50 * std::pow(std::max(1.0, outline.lava_voxels), 2.0 / 3);
+        return {pixels, memory(choice_.slice.empty() ? triangles : 0), pixels * 3};
     }
 
     Json run(Scene& scene, const StageContext& context) override
@@ -81,12 +87,20 @@ public:
             if (mesh == scene.meshes.end())
                 throw InvalidInput(
                     "render: the scene has no mesh; run `sekitei mesh` first or give --slice GRID");
+            check_memory("render", memory(double(mesh->second.triangles.size())),
+                         context.memory_limit);
             picture = render::run(mesh->second, params_, context.seed, context.progress);
         }
         return {{"width", picture.width}, {"height", picture.height}};
     }
 
 private:
+    /// Bytes at the peak: film, mesh, corner normals and Embree's tree.
+    double memory(double triangles) const
+    {
+        return 1e8 + double(params_.width) * params_.height * 60 + triangles * 180;
+    }
+
     render::Params params_;
     SliceChoice choice_;
 };

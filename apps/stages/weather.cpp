@@ -91,11 +91,32 @@ public:
         for (Param& p : describe_params(sources_)) list.push_back(std::move(p));
         return list;
     }
-    void validate() override { weathering::validate(params_); }
+    void validate() override
+    {
+        weathering::validate(params_);
+        const std::string why = fmt::format(
+            "with cut = {}", weathering::choice_names(params_.cut)[static_cast<std::size_t>(params_.cut)]);
+        if (params_.cut != weathering::Cut::Perpendicular)
+            warn_unused(*this,
+                        {"collapse", "ramp", "ramp_weight", "surface_weight", "noise_weight", "depth",
+                         "open_face", "noise_wavelength", "holding_limit", "cut_ref_length", "field"},
+                        why);
+        if (params_.cut != weathering::Cut::Horizontal)
+            warn_unused(*this,
+                        {"terrain_base", "terrain_slope_x", "terrain_slope_y", "terrain_amplitude",
+                         "terrain_hurst", "terrain_octaves", "terrain_grid", "terrain_map",
+                         "terrain_low", "terrain_high"},
+                        why);
+        else if (!sources_.terrain_grid.empty() || !sources_.terrain_map.empty())
+            warn_unused(*this,
+                        {"terrain_base", "terrain_slope_x", "terrain_slope_y", "terrain_amplitude",
+                         "terrain_hurst", "terrain_octaves"},
+                        "with a terrain of your own");
+    }
 
     Need estimate(SceneOutline& outline, const StageContext&) override
     {
-        return {outline.lava_voxels, outline.lava_voxels * 14, outline.lava_voxels * 4};
+        return {outline.lava_voxels, memory(outline.lava_voxels), outline.lava_voxels * 4};
     }
 
     Json run(Scene& scene, const StageContext& context) override
@@ -108,7 +129,7 @@ public:
                                   scene.floats("slow_sdf"),
                                   lines,
                                   scene.domain};
-        check_memory("weather", static_cast<double>(inputs.region.active_count()) * 14,
+        check_memory("weather", memory(static_cast<double>(inputs.region.active_count())),
                      context.memory_limit);
         if (!sources_.field.empty()) inputs.weathering = &scene.floats(sources_.field);
         FloatGrid terrain;
@@ -143,6 +164,9 @@ public:
     }
 
 private:
+    /// Bytes at the peak: columns, components and the density's surface a voxel, and what does not grow with them.
+    static double memory(double voxels) { return 1e8 + voxels * 20; }
+
     weathering::Params params_;
     Sources sources_;
 };

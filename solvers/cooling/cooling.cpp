@@ -419,6 +419,42 @@ void validate(const Params& params)
                         params.alpha));
 }
 
+int suitable_steps(const IntGrid& region, const Domain& domain, double alpha, int most)
+{
+    // Peel layers off the lava from its cold contact until none is left.
+    const Coord n = domain.dims;
+    auto at = [&](int x, int y, int z) {
+        return (std::size_t(x) * std::size_t(n.y) + std::size_t(y)) * std::size_t(n.z) +
+               std::size_t(z);
+    };
+    std::vector<std::int32_t> id(std::size_t(n.x) * std::size_t(n.y) * std::size_t(n.z));
+    std::vector<Coord> rim, next;
+    GridReader<std::int32_t> read(region);
+    for (int x = 0; x < n.x; ++x)
+        for (int y = 0; y < n.y; ++y)
+            for (int z = 0; z < n.z; ++z) {
+                id[at(x, y, z)] = read.value({x, y, z});
+                if (id[at(x, y, z)] == kSlow) return most;
+                if (id[at(x, y, z)] == kCold) rim.push_back({x, y, z});
+            }
+    int layers = 0;
+    for (; !rim.empty(); rim.swap(next)) {
+        next.clear();
+        for (const Coord& c : rim)
+            for (int axis = 0; axis < 3; ++axis)
+                for (const int step : {-1, 1}) {
+                    Coord b = c;
+                    b[axis] += step;
+                    if (!domain.contains(b) || id[at(b.x, b.y, b.z)] != kLava) continue;
+                    id[at(b.x, b.y, b.z)] = kCold;
+                    next.push_back(b);
+                }
+        if (!next.empty()) ++layers;
+    }
+    const double steps = 0.083 * layers * layers / alpha;
+    return static_cast<int>(std::clamp(std::floor(steps + 0.5), 4.0, double(most)));
+}
+
 Result run(const Inputs& inputs, const Params& params, const Checkpoint& checkpoint,
            const Progress& progress)
 {
@@ -456,7 +492,7 @@ Result run(const Inputs& inputs, const Params& params, const Checkpoint& checkpo
     const bool steady = params.stop == Stop::Steady;
     const int steps = params.steps.value_or(steady ? kMostSteps : inputs.default_steps);
     const bool dense = inputs.domain.voxel_count() <= kDenseVoxels;
-    log::info("cooling: {} lava cells of {} m, alpha = {}, {}{} steps, {}", body.lava_count,
+    log::info("cooling: {} lava cells of {:g} m, alpha = {:g}, {}{} steps, {}", body.lava_count,
               transform.voxel, params.alpha, steady ? "at most " : "", steps,
               dense ? "dense" : "sparse");
     Result result;

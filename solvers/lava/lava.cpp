@@ -118,8 +118,8 @@ std::pair<double, double> height_range(const Params& params, const Image16& imag
             low = std::min(low, image.at(x, y));
             high = std::max(high, image.at(x, y));
         }
-    const double span = (params.height_high - params.height_low) / 65535;
-    return {params.height_low + low * span, params.height_low + high * span};
+    const double span = (*params.height_high - *params.height_low) / 65535;
+    return {*params.height_low + low * span, *params.height_low + high * span};
 }
 
 Layout height_map_layout(const Params& params, const Inputs& inputs)
@@ -130,7 +130,7 @@ Layout height_map_layout(const Params& params, const Inputs& inputs)
         throw InvalidParameter(fmt::format(
             "lava: base = {:.6g} m, must lie below the highest point of the height map, {:.6g} m",
             params.base, top));
-    const Vec3d size{image.width * params.metres_per_pixel, image.height * params.metres_per_pixel,
+    const Vec3d size{image.width * *params.metres_per_pixel, image.height * *params.metres_per_pixel,
                      top - params.base};
     Layout layout;
     layout.voxel = params.voxel.value_or(longest(size) / kLongestSide);
@@ -328,6 +328,9 @@ Estimate estimate_of(const Layout& layout)
         return static_cast<std::int32_t>(std::min(n, 2147483647.0));
     };
     e.dims = {clamped(d.x), clamped(d.y), clamped(d.z)};
+    const Vec3d c = layout.heat_dims;
+    e.heat_dims = {clamped(c.x), clamped(c.y), clamped(c.z)};
+    e.heat_cell = layout.ratio * layout.voxel;
     return e;
 }
 
@@ -515,8 +518,8 @@ Boundaries preset_boundaries(const Params& params, Vec3d dims, std::uint64_t see
 
 Boundaries height_map_boundaries(const Params& params, const Image16& image, const Layout& layout)
 {
-    const double low = params.height_low, span = (params.height_high - low) / 65535;
-    const double pixels = layout.voxel / params.metres_per_pixel;  // to a voxel
+    const double low = *params.height_low, span = (*params.height_high - low) / 65535;
+    const double pixels = layout.voxel / *params.metres_per_pixel;  // to a voxel
     const double voxel = layout.voxel, origin = layout.origin.z;
     Boundaries b;
     b.preset = Preset::HeightMap;
@@ -997,10 +1000,16 @@ void validate(const Params& params)
         throw InvalidParameter(fmt::format(
             "lava: size goes with the built-in presets; with preset = {} the file gives the box",
             preset));
-    if (params.preset == Preset::HeightMap && params.height_high <= params.height_low)
-        throw InvalidParameter(
-            fmt::format("lava: height_high = {} m, must be above height_low = {} m",
-                        params.height_high, params.height_low));
+    if (params.preset == Preset::HeightMap) {
+        if (!params.metres_per_pixel || !params.height_low || !params.height_high)
+            throw InvalidParameter(
+                "lava: a height map needs metres_per_pixel, height_low and height_high: the size of "
+                "its pixels and the heights of black and white");
+        if (*params.height_high <= *params.height_low)
+            throw InvalidParameter(
+                fmt::format("lava: height_high = {} m, must be above height_low = {} m",
+                            *params.height_high, *params.height_low));
+    }
     const bool below_only = params.preset == Preset::HeightMap || params.preset == Preset::Volume;
     if (params.slow != SlowPart::None &&
         (!from_file(params.preset) || (below_only && params.slow != SlowPart::Below)))
@@ -1035,7 +1044,7 @@ PresetDefaults preset_defaults(Preset preset)
         case Preset::HeightMap:
             return {2000, 1e-3, std::nullopt};
         default:
-            return {200, 1e-3, std::nullopt};
+            return {200, 1e-3, std::nullopt, true};
     }
 }
 

@@ -58,8 +58,8 @@ struct Params {
     std::optional<double> noise_amplitude;
     double noise_beta = 2;  ///< spectral exponent of the boundary noise
     std::filesystem::path height_map;
-    double metres_per_pixel = 10;
-    double height_low = 0, height_high = 100;  ///< [m] of the darkest and brightest grey
+    std::optional<double> metres_per_pixel;  ///< required with a height map
+    std::optional<double> height_low, height_high;  ///< [m] of black and white; required likewise
     double base = 0;                           ///< lower side of the lava [m]
     std::filesystem::path mesh;
     double mesh_scale = 1;  ///< metres per unit of the file
@@ -87,9 +87,9 @@ struct Params {
         field("height_map", &Params::height_map,
               "PNG whose grey is the height of the lava's surface");
         field("metres_per_pixel", &Params::metres_per_pixel, "m", kPositive,
-              "horizontal size of a height map's pixel");
-        field("height_low", &Params::height_low, "m", kAny, "height of black");
-        field("height_high", &Params::height_high, "m", kAny, "height of white");
+              "horizontal size of a height map's pixel; must be given with one");
+        field("height_low", &Params::height_low, "m", kAny, "height of a height map's black; must be given with one");
+        field("height_high", &Params::height_high, "m", kAny, "height of its white; must be given with one");
         field("base", &Params::base, "m", kAny,
               "height of the lava's lower side under a height map");
         field("mesh", &Params::mesh, "closed mesh of the lava body (PLY, OBJ, STL, OFF)");
@@ -140,6 +140,7 @@ struct PresetDefaults {
     int heat_steps = 200;
     double plateau_share = 1e-3;    ///< plateau_eps / (T_hot - T_cold)
     std::optional<int> seed_count;  ///< over all cooling faces; empty: from the spacing
+    bool generic = false;  ///< nothing is known of the body: its size may ask for fewer steps
 };
 PresetDefaults preset_defaults(Preset preset);
 
@@ -149,6 +150,8 @@ struct Estimate {
     double bytes = 0;   ///< memory of run(): constant leaves and two surfaces
     Coord dims;         ///< fine; clamped to 2^31 - 1
     double voxel = 0;   ///< edge [m], auto resolved
+    Coord heat_dims;    ///< coarse; clamped likewise
+    double heat_cell = 0;  ///< edge [m]
 };
 /// @throws InvalidParameter, InvalidInput  as run() does for what it needs to know
 Estimate estimate(const Params& params, const Inputs& inputs);

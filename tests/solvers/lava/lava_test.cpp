@@ -301,6 +301,7 @@ TEST(Lava, HeightMapOnAFlatPlainIsWithinHalfAVoxelEverywhere)
     for (auto& grey : inputs.height_map->pixels) grey = 40000;
     Params params = plain(Preset::HeightMap);
     params.metres_per_pixel = 11;
+    params.height_low = 0;
     params.height_high = 50;
     params.cold_ground = true;
     params.base = 3;
@@ -325,6 +326,7 @@ TEST(Lava, TheVolcanoOfTheDataFolderHasItsSummitInTheSouth)
     EXPECT_EQ(inputs.height_map->width, 61);
     EXPECT_EQ(inputs.height_map->height, 87);
     Params params = plain(Preset::HeightMap);
+    params.metres_per_pixel = 10;
     params.height_low = 94;
     params.height_high = 195;
     params.base = 60;
