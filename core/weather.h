@@ -1,0 +1,57 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace sekitei {
+
+/// One day of weather; all radiation as a 24-hour mean.
+struct WeatherDay {
+    int year = 0, month = 1, day = 1;
+    double temperature = 0;                   ///< [K]
+    double humidity = 0;                      ///< relative, 0..1
+    double precipitation = 0;                 ///< [mm/day]
+    double wind_speed = 0;                    ///< [m/s]
+    int wind_direction = 0;                   ///< 0..7 = N NE E SE S SW W NW, where it blows from
+    double possible_sunshine = 0;             ///< N0 [h]
+    double sunshine = 0;                      ///< N [h]
+    std::optional<double> global_radiation;   ///< on the horizontal [W/m^2]
+    std::optional<double> diffuse_radiation;  ///< its diffuse part [W/m^2]
+    std::optional<double> longwave;           ///< from the sky [W/m^2]
+    double pressure = 1013.0;                 ///< [hPa]
+};
+
+/// Where the weather was observed; needed for the sun's path.
+struct Site {
+    double latitude = 0, longitude = 0;  ///< [rad], north and east positive
+};
+
+struct Weather {
+    std::vector<WeatherDay> days;  ///< without gaps, in order
+    std::optional<Site> site;      ///< where the file says so
+    std::vector<std::string>
+        notes;  ///< what was derived or filled in, and by which method; for summaries
+};
+
+/// What to do when a day is missing.
+enum class WeatherFill { Error, Interpolate };
+
+/// Reads JMA daily CSV (Shift_JIS), EPW (hourly, averaged) or own CSV with units in the header,
+/// chosen by content.
+///
+/// Missing humidity or sunshine is derived and noted. Every bad field is named with its line,
+/// column, value and expectation, all at once.
+/// @param site  replaces the file's, and is needed for derived sunshine where the file has none
+/// @throws InvalidInput
+Weather read_weather(const std::filesystem::path& path, const std::optional<Site>& site,
+                     WeatherFill fill);
+
+/// Days `first` .. `first + count - 1`; repeats whole years when `repeat` and the series is
+/// shorter.
+/// @throws InvalidParameter  too short: names both numbers and the option that repeats
+Weather select_days(const Weather& weather, std::size_t first, std::size_t count, bool repeat);
+
+}  // namespace sekitei
