@@ -186,27 +186,27 @@ Simulation::Simulation(const Settings& settings, Particles particles, const Boun
     prepare();
 }
 
-Simulation::Simulation(const Settings& settings, const Stream& stream)
-    : settings_(settings), stream_(stream), open_(true)
+Simulation::Simulation(const Settings& settings, const WindTunnel& tunnel)
+    : settings_(settings), tunnel_(tunnel), open_(true)
 {
     validate(settings_);
-    if (!(stream.speed > 0) || !std::isfinite(stream.speed))
+    if (!(tunnel.speed > 0) || !std::isfinite(tunnel.speed))
         throw InvalidInput(
-            fmt::format("mps: speed of the stream = {:.6g} m/s, must be > 0", stream.speed));
-    fill_stream();
+            fmt::format("mps: speed of the stream = {:.6g} m/s, must be > 0", tunnel.speed));
+    fill_tunnel();
     prepare();
 }
 
-void Simulation::fill_stream()
+void Simulation::fill_tunnel()
 {
     const double l0 = settings_.spacing;
     const bool flat = settings_.dimension == 2;
-    const Coord n(whole(stream_.size.x, l0, "x"), flat ? 1 : whole(stream_.size.y, l0, "y"),
-                  whole(stream_.size.z, l0, "z"));
-    if (flat) stream_.size.y = 0;
-    const Vec3d lower = stream_.lower;
-    const Vec3d flow(stream_.speed, 0, 0);
-    const double background = stream_.background_pressure(settings_.density);
+    const Coord n(whole(tunnel_.size.x, l0, "x"), flat ? 1 : whole(tunnel_.size.y, l0, "y"),
+                  whole(tunnel_.size.z, l0, "z"));
+    if (flat) tunnel_.size.y = 0;
+    const Vec3d lower = tunnel_.lower;
+    const Vec3d flow(tunnel_.speed, 0, 0);
+    const double background = tunnel_.background_pressure(settings_.density);
     const auto centre = [&](int i, int j, int k) {
         return Vec3d(lower.x + (i + 0.5) * l0, lower.y + (flat ? 0 : (j + 0.5) * l0),
                      lower.z + (k + 0.5) * l0);
@@ -218,11 +218,11 @@ void Simulation::fill_stream()
                std::size_t(k);
     };
     std::vector<std::uint8_t> depth(std::size_t(n.x) * std::size_t(n.y) * std::size_t(n.z), 0);
-    if (stream_.solid) {
+    if (tunnel_.solid) {
         for (int i = 0; i < n.x; ++i)
             for (int j = 0; j < n.y; ++j)
                 for (int k = 0; k < n.z; ++k)
-                    if (stream_.solid(centre(i, j, k))) depth[site(i, j, k)] = kLayers + 1;
+                    if (tunnel_.solid(centre(i, j, k))) depth[site(i, j, k)] = kLayers + 1;
         for (int layer = 1; layer <= kLayers; ++layer)
             for (int i = 0; i < n.x; ++i)
                 for (int j = 0; j < n.y; ++j)
@@ -245,9 +245,9 @@ void Simulation::fill_stream()
                 const Vec3d p = centre(i, j, k);
                 const int down = -k, beside = std::max({-j, j - n.y + 1, k - n.z + 1});
                 if (down > 0) {
-                    const Kind kind = stream_.moving_ground ? Kind::Row : Kind::Wall;
+                    const Kind kind = tunnel_.moving_ground ? Kind::Row : Kind::Wall;
                     particles_.add(behind(kind, std::max(down, beside)), p,
-                                   stream_.moving_ground ? flow : Vec3d{}, background);
+                                   tunnel_.moving_ground ? flow : Vec3d{}, background);
                 } else if (beside > 0) {
                     particles_.add(behind(Kind::Row, beside), p, flow, background);
                 } else {
@@ -271,7 +271,7 @@ void Simulation::fill_stream()
             particles_.kind[i] = Kind::InflowDummy;
     next_column_ = kLayers;
     domain_.add(lower);
-    domain_.add(lower + stream_.size);
+    domain_.add(lower + tunnel_.size);
     // Fluid that gets behind the first layer of a boundary has leaked.
     domain_.lower -= Vec3d(l0);
     domain_.upper += Vec3d(l0);
@@ -365,7 +365,7 @@ void Simulation::refresh_neighbours()
 
 double Simulation::time_step() const
 {
-    double fastest = open_ ? stream_.speed * stream_.speed : 0;
+    double fastest = open_ ? tunnel_.speed * tunnel_.speed : 0;
     for (std::size_t i = 0; i < particles_.size(); ++i)
         if (particles_.kind[i] == Kind::Fluid) {
             const Vec3d u = particles_.velocity(i);
@@ -447,8 +447,8 @@ void Simulation::predict(double dt)
                 }
             }
             Vec3d moved = u + (sum * factor + settings_.gravity) * dt;
-            if (stream_.canopy) {
-                const double drag = stream_.canopy(here);
+            if (tunnel_.canopy) {
+                const double drag = tunnel_.canopy(here);
                 if (drag > 0) moved = canopy_drag(moved, drag, dt);
             }
             change_[i] = moved - u;
@@ -467,8 +467,8 @@ void Simulation::move_boundaries(double dt)
 {
     if (!open_) return;
     Particles& q = particles_;
-    const double l0 = settings_.spacing, begin = stream_.lower.x, end = begin + stream_.size.x;
-    const double period = stream_.size.x + 2 * kLayers * l0;
+    const double l0 = settings_.spacing, begin = tunnel_.lower.x, end = begin + tunnel_.size.x;
+    const double period = tunnel_.size.x + 2 * kLayers * l0;
     std::int32_t front = std::numeric_limits<std::int32_t>::max();
     for (std::size_t i = 0; i < q.size(); ++i) {
         double& x = q.position.x[i];
@@ -490,8 +490,8 @@ void Simulation::move_boundaries(double dt)
             case Kind::Fluid:
                 if (x > end) {
                     q.kind[i] = Kind::Outflow;
-                    q.u[i] = std::max(q.u[i], 0.2 * stream_.speed);
-                    q.pressure[i] = stream_.background_pressure(settings_.density);
+                    q.u[i] = std::max(q.u[i], 0.2 * tunnel_.speed);
+                    q.pressure[i] = tunnel_.background_pressure(settings_.density);
                     ++left_;
                     stale_ = true;
                 }
@@ -508,12 +508,12 @@ void Simulation::move_boundaries(double dt)
     remove_gone();
 
     // Follow the last column, and put a fresh one behind it when there is room.
-    for (Vec3d& p : inflow_sites_) p.x += stream_.speed * dt;
+    for (Vec3d& p : inflow_sites_) p.x += tunnel_.speed * dt;
     if (!inflow_sites_.empty() && inflow_sites_[0].x >= begin - (kLayers - 1.5) * l0) {
         for (Vec3d& p : inflow_sites_) {
             p.x -= l0;
-            q.add(Kind::InflowDummy, p, {stream_.speed, 0, 0},
-                  stream_.background_pressure(settings_.density));
+            q.add(Kind::InflowDummy, p, {tunnel_.speed, 0, 0},
+                  tunnel_.background_pressure(settings_.density));
             q.column.back() = next_column_;
             q.id.back() = next_id_++;
         }
@@ -524,7 +524,7 @@ void Simulation::move_boundaries(double dt)
 
 void Simulation::remove_gone()
 {
-    const double end = stream_.lower.x + stream_.size.x + kLayers * settings_.spacing;
+    const double end = tunnel_.lower.x + tunnel_.size.x + kLayers * settings_.spacing;
     std::vector<std::uint32_t> kept;
     kept.reserve(particles_.size());
     for (std::size_t i = 0; i < particles_.size(); ++i)
@@ -744,14 +744,14 @@ void Simulation::run_until(double end)
 /// One touch weighs k_i / C(U0) = (U0 dt / d) (U_i / U0)^(1/2), with d = l0 [Ogasawara2003].
 void Simulation::touch_water(double dt)
 {
-    if (!stream_.water_level) return;
+    if (!tunnel_.water_level) return;
     Particles& q = particles_;
-    const double d = settings_.spacing, speed = stream_.speed;
+    const double d = settings_.spacing, speed = tunnel_.speed;
     parallel_for(
         q.size(),
         [&](std::size_t i) {
             if (q.kind[i] != Kind::Fluid) return;
-            const double level = stream_.water_level(q.position.x[i], q.position.y[i]);
+            const double level = tunnel_.water_level(q.position.x[i], q.position.y[i]);
             if (!(std::abs(q.position.z[i] - level) <= d)) return;
             q.touch[i] += speed * dt / d * std::sqrt(length(q.velocity(i)) / speed);
         },

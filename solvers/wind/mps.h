@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <utility>
 #include <vector>
 
 #include "core/vec.h"
@@ -75,12 +76,14 @@ struct Particles {
 
 /// A box of air that flows along +x. Behind the inflow face, and on every other face, lie the
 /// particles that carry the boundary condition; the box holds whole numbers of l0.
-struct Stream {
+struct WindTunnel {
     Vec3d lower{};               ///< corner of the box [m]; in 2-D y is the plane of the particles
     Vec3d size{};                ///< [m]; multiples of l0; y is ignored in 2-D
     double speed = 3;            ///< U0 [m/s], > 0
     bool moving_ground = false;  ///< else no-slip
-    /// Whether a point is inside an obstacle; asked at the centres of the cubes of edge l0.
+    /// Whether a point is inside an obstacle; asked at the centres of the cubes of edge l0 that
+    /// fill the box, so whatever is thinner than l0 must be made as thick as that. Two layers of
+    /// walls, two of dummies; deeper sites stay empty.
     std::function<bool(Vec3d)> solid;
     /// Drag of porous plants, R_U [1/m] at a point; asked by many threads at once.
     std::function<double(Vec3d)> canopy;
@@ -121,7 +124,10 @@ public:
     /// @throws InvalidInput  no particles, or some outside the domain
     Simulation(const Settings& settings, Particles particles, const Bounds& domain);
     /// @throws InvalidInput  the box is empty, all solid, or not a multiple of l0
-    Simulation(const Settings& settings, const Stream& stream);
+    Simulation(const Settings& settings, const WindTunnel& tunnel);
+
+    /// Replaces the drag of porous plants; see WindTunnel::canopy.
+    void set_canopy(std::function<double(Vec3d)> drag) { tunnel_.canopy = std::move(drag); }
 
     /// One step: explicit friction, gravity and drag, collisions, then pressure.
     /// @throws NumericalError  a fluid particle outside the domain or not a number, the Poisson
@@ -159,7 +165,7 @@ private:
         Vec3d velocity{};
         std::size_t particles = 0;
     };
-    void fill_stream();
+    void fill_tunnel();
     void prepare();
     double time_step() const;
     void find_eddy_viscosity();
@@ -177,7 +183,7 @@ private:
     void take_statistics(double dt);
 
     Settings settings_;
-    Stream stream_;
+    WindTunnel tunnel_;
     bool open_ = false;  ///< there is a stream
     Bounds domain_;      ///< where fluid may be
     double radius_ = 0, laplacian_radius_ = 0, skin_ = 0;

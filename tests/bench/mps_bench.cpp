@@ -19,18 +19,18 @@ using namespace sekitei;
 using namespace sekitei::wind;
 
 /// A garden with a fence across most of the stream and a hill behind it.
-mps::Stream garden(double l0, Vec3d size)
+mps::WindTunnel garden(double l0, Vec3d size)
 {
-    mps::Stream stream;
-    stream.size = size;
-    stream.speed = 3;
-    stream.solid = [=](Vec3d p) {
+    mps::WindTunnel tunnel;
+    tunnel.size = size;
+    tunnel.speed = 3;
+    tunnel.solid = [=](Vec3d p) {
         const Vec3d hill = p - Vec3d(0.6 * size.x, 0.5 * size.y, 0);
         const bool fence = std::abs(p.x - 0.4 * size.x) < 0.51 * l0 && p.z < 0.25 * size.z &&
                            std::abs(p.y - 0.5 * size.y) < 0.3 * size.y;
         return fence || length(hill) < 0.15 * size.z;
     };
-    return stream;
+    return tunnel;
 }
 
 std::uint64_t hash_of(const mps::Particles& q)
