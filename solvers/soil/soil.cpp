@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "core/error.h"
+#include "core/inline_math.h"
 #include "core/log.h"
 #include "core/math.h"
 #include "core/parallel.h"
@@ -29,7 +30,7 @@ struct Saturation {
 Saturation saturation(double temperature, double pressure)
 {
     const double t = temperature - 273.15, s = 237.3 + t;
-    const double e = 6.1078 * math::exp(7.5 * kLn10 * t / s);
+    const double e = 6.1078 * math::inline_exp(7.5 * kLn10 * t / s);
     const double dry = pressure - 0.378 * e;
     if (!(dry > 0)) return {kInfinity, kInfinity};
     return {0.622 * e / dry, 0.622 * pressure / (dry * dry) * e * (kLn10 * 7.5 * 237.3) / (s * s)};
@@ -306,7 +307,7 @@ void validate(const Params& params)
 double vapour_pressure(double temperature)
 {
     const double t = temperature - 273.15;
-    return 6.1078 * math::exp(7.5 * kLn10 * t / (237.3 + t));
+    return 6.1078 * math::inline_exp(7.5 * kLn10 * t / (237.3 + t));
 }
 
 double saturation_humidity(double temperature, double pressure)
@@ -323,14 +324,14 @@ double dew_point(double q, double pressure)
 {
     if (!(q > 0)) return 0;
     const double e = pressure * q / (0.622 + 0.378 * q);
-    const double x = math::log(e / 6.1078) / kLn10;
+    const double x = math::inline_log(e / 6.1078) / kLn10;
     return 273.15 + 237.3 * x / (7.5 - x);
 }
 
 double evaporation_share(const Soil& soil, double theta, double exchange, double wind)
 {
-    const double room = std::max(0.0, 1 - theta / soil.porosity);
-    const double f = soil.scale * math::pow(room, soil.exponent);
+    const double room = 1 - theta / soil.porosity;  // below 0 counts as 1e-300
+    const double f = soil.scale * math::inline_exp(soil.exponent * math::inline_log(room));
     return 1 / (1 + exchange * wind * f / kDiffusivity);
 }
 

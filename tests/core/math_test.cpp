@@ -6,6 +6,7 @@
 #include <functional>
 #include <limits>
 
+#include "core/inline_math.h"
 #include "core/random.h"
 
 namespace sekitei {
@@ -38,6 +39,23 @@ TEST(Math, ExpAgreesWithTheCLibrary)
 {
     EXPECT_LT(worst(math::exp, kExp, -1, 1, true), 1e-15);
     EXPECT_LT(worst(math::exp, kExp, -708, 709, true), 1e-15);
+}
+
+TEST(Math, InlineFunctionsAgreeWithTheCLibrary)
+{
+    auto exp = [](long double x) { return std::exp(x); };
+    auto log = [](long double x) { return std::log(x); };
+    EXPECT_LT(worst(math::inline_exp, exp, -1, 1, true), 5e-16);
+    EXPECT_LT(worst(math::inline_exp, exp, -700, 700, true), 5e-16);
+    EXPECT_LT(worst(math::inline_log, log, 0.5, 2, false), 3e-16);
+    EXPECT_LT(worst(math::inline_log, log, 1e-3, 1e-2, true), 3e-16);
+    EXPECT_LT(worst(math::inline_log, log, 10, 1e12, true), 3e-16);
+    EXPECT_EQ(math::inline_exp(0), 1);
+    EXPECT_EQ(math::inline_log(1), 0);
+    EXPECT_EQ(math::inline_exp(-kInfinity), math::inline_exp(-708));
+    EXPECT_EQ(math::inline_exp(kInfinity), math::inline_exp(709));
+    EXPECT_EQ(math::inline_log(0), math::inline_log(1e-300));
+    EXPECT_TRUE(std::isnan(math::inline_exp(std::nan(""))));
 }
 
 TEST(Math, LogAgreesWithTheCLibrary)
