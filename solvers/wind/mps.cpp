@@ -17,6 +17,9 @@ constexpr double kRadius = 2.1;  ///< re of density, gradient and divergence / l
 constexpr double kSkin = 0.2;    ///< by which lists reach farther / l0
 constexpr int kLayers = 4;       ///< of every boundary: two with a pressure, two dummies
 constexpr int kPressureLayers = 2;
+/// At which fluid collides with a boundary in 3-D / l0. The gaps between four particles of a wall
+/// reach 0.71 l0 from each, so that a single particle would slip through at the usual distance.
+constexpr double kWallCollision = 0.85;
 constexpr double kSmallestTimeStep = 1e-6;  // [s]
 constexpr double kAggregate = 4;            ///< edge of the coarse cubes / l0
 constexpr std::size_t kGrain = 256;
@@ -541,6 +544,8 @@ void Simulation::collide(double dt)
     Particles& q = particles_;
     const double least = settings_.collision_distance * settings_.spacing;
     if (least == 0) return;
+    const double to_wall =
+        settings_.dimension == 3 ? std::max(least, kWallCollision * settings_.spacing) : least;
     using Pair = std::pair<std::uint32_t, std::uint32_t>;
     const std::vector<Pair> pairs = parallel_fold(
         q.size(), 1024, std::vector<Pair>{},
@@ -552,9 +557,11 @@ void Simulation::collide(double dt)
                 const std::uint32_t* list = lists_.of(i);
                 for (std::size_t k = 0; k < lists_.count(i); ++k) {
                     const std::uint32_t j = list[k];
-                    if (q.kind[j] == Kind::Fluid && j < i) continue;
+                    const bool fluid = q.kind[j] == Kind::Fluid;
+                    if (fluid && j < i) continue;
                     const Vec3d d = q.position.at(j) - here;
-                    if (dot(d, d) < least * least) found.emplace_back(std::uint32_t(i), j);
+                    const double near = fluid ? least : to_wall;
+                    if (dot(d, d) < near * near) found.emplace_back(std::uint32_t(i), j);
                 }
             }
             return found;

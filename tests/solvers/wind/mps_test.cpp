@@ -394,6 +394,34 @@ TEST(Mps, TwoParticlesBounceWithTheirRestitution)
     EXPECT_EQ(q.v[a], 0.25);
 }
 
+TEST(Mps, ParticlesFeelEachOtherFromTheStepInWhichTheyComeNear)
+{
+    Settings s = Settings::air(3, 0.5, 2);
+    s.largest_time_step = 0.01;
+    Particles two;  // 2.5 l0 apart, beyond the lists of the start
+    two.add(Kind::Fluid, {0, 0, 0}, {1, 0, 0});
+    two.add(Kind::Fluid, {1.253, 0, 0}, {-1, 0, 0});
+    Simulation run(s, two, around(Vec3d(-5), Vec3d(5)));
+    for (int i = 0; i < 30; ++i) {
+        const Particles& q = run.particles();
+        const double apart = std::abs(q.position.x[0] - q.position.x[1]);
+        const double before = std::abs(q.u[0]);
+        run.step();
+        ASSERT_EQ(std::abs(q.u[0]) < before, apart < 2.1 * 0.5) << apart;
+    }
+}
+
+TEST(Mps, NoParticleSlipsThroughTheGapsOfAWall)
+{
+    const Settings s = Settings::water(3, 0.1);
+    for (const Vec3d aim : {Vec3d(0, 0, 0), Vec3d(0.05, 0.05, 0), Vec3d(0.05, 0, 0)}) {
+        Particles tank_and_drop = tank(s, {}, {0.6, 0.6, 0.6}, [](Vec3d) { return false; });
+        tank_and_drop.add(Kind::Fluid, Vec3d(0.25, 0.35, 0.3) + aim, {0, 0, -4});
+        Simulation run(s, tank_and_drop, around({-0.02, -0.02, -0.02}, {0.62, 0.62, 0.7}));
+        EXPECT_NO_THROW(run.run_until(0.5));
+    }
+}
+
 // ---------------------------------------------------------------- symmetry and sameness
 
 TEST(Mps, AColumnInTheMiddleFallsAlikeToBothSides)
