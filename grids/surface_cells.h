@@ -1,12 +1,11 @@
 #pragma once
 
 #include <cstdint>
-#include <string>
+#include <optional>
 #include <vector>
 
 #include "core/progress.h"
 #include "grids/leaf_grid.h"
-#include "grids/scene.h"
 
 namespace sekitei {
 
@@ -31,17 +30,28 @@ struct SurfaceCells {
     /// Cells in the 26-neighbourhood of each: neighbours [begin[i], begin[i + 1]), ascending.
     std::vector<std::uint32_t> neighbour_begin, neighbour;
 
-    /// A grid that is active exactly on the cells.
+    /// A grid that is active exactly on the cells; background 0.
+    /// @throws InvalidInput  another number of values than cells
     FloatGrid to_grid(const std::vector<float>& values) const;
     IntGrid to_grid(const std::vector<std::int32_t>& values) const;
     VectorGrid to_grid(const std::vector<Vec3f>& values) const;
     /// Values of a grid at the cells; `missing` where it is not active.
+    /// @throws InvalidInput  a grid on another lattice
     std::vector<float> from_grid(const FloatGrid& grid, float missing) const;
     std::vector<std::int32_t> from_grid(const IntGrid& grid, std::int32_t missing) const;
 };
 
+/// Finds the cells of a surface; parallel over leaves.
+///
+/// A body that is cut by the box it was computed in (a cliff) ends there only in name: it goes on.
+/// With `box`, voxels outside it are not cells and a neighbour outside it exposes nothing, so that
+/// cuts, a cut underside included, carry no climate. Within two voxels of a cut that closes the
+/// level set, depth and normal come from the air side, which the cut does not disturb.
+///
 /// @param surface  level set [m], negative inside
-/// @throws InvalidInput  no surface cells; not a level set
-SurfaceCells surface_cells(const FloatGrid& surface, const Progress& progress);
+/// @param box      on the lattice of `surface`
+/// @throws InvalidInput  no_surface_cells; not a level set; a box on another lattice
+SurfaceCells surface_cells(const FloatGrid& surface, const Progress& progress,
+                           const std::optional<Domain>& box = {});
 
 }  // namespace sekitei
