@@ -7,14 +7,13 @@
 #include "core/error.h"
 #include "core/file_output.h"
 #include "core/log.h"
-#include "core/log.h"
 
 namespace sekitei::apps {
 namespace {
 
 using Factory = std::unique_ptr<Stage> (*)();
 constexpr Factory kFactories[] = {make_lava,    make_cool, make_joint,
-                                  make_weather, make_mesh, make_render};
+                                  make_weather, make_mesh, make_lantern, make_render};
 
 }  // namespace
 

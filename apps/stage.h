@@ -39,6 +39,7 @@ struct Need {
 struct SceneOutline {
     Domain domain, heat_domain;
     double lava_voxels = 0;
+    double surface_cells = 0;  ///< of a surface with a climate
 };
 
 struct StageContext {

@@ -19,7 +19,9 @@ lava::PresetDefaults recommended(const Scene& scene)
         if (made->contains("preset")) find_param(list, "preset")->set((*made)["preset"]);
         return lava::preset_defaults(params.preset);
     }
-    return {.generic = true};
+    lava::PresetDefaults unknown;
+    unknown.generic = true;
+    return unknown;
 }
 
 /// Two buffers, gradients and the scene's own grids.

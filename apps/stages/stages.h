@@ -12,6 +12,7 @@ std::unique_ptr<Stage> make_cool();
 std::unique_ptr<Stage> make_joint();
 std::unique_ptr<Stage> make_weather();
 std::unique_ptr<Stage> make_mesh();
+std::unique_ptr<Stage> make_lantern();
 std::unique_ptr<Stage> make_render();
 
 /// The lava preset a scene was made with, from its history; null when it has none.
