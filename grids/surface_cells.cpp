@@ -215,6 +215,44 @@ std::vector<T> values_of(const SurfaceCells& cells, const LeafGrid<T>& grid, T m
     return values;
 }
 
+/// The surface graph: cells that share a face, an edge or a corner.
+/// @param first  number of each leaf's first cell
+void join_neighbours(SurfaceCells& cells, const std::vector<std::size_t>& first,
+                     const Progress& progress)
+{
+    const std::size_t count = cells.size();
+    cells.neighbour_begin.assign(count + 1, 0);
+    for (const bool fill : {false, true}) {
+        over_leaves(cells.index.leaf_count(), progress.slice(fill ? 0.5 : 0, fill ? 1 : 0.5),
+                    [&](std::size_t k) {
+                        const Around<std::int32_t> at(cells.index, k);
+                        std::size_t i = first[k];
+                        cells.index.mask(k).for_each([&](int o) {
+                            const Coord c = leaf_coord({0, 0, 0}, o);
+                            std::array<std::uint32_t, 26> found;
+                            std::size_t size = 0;
+                            for (int d = 0; d < 27; ++d) {
+                                if (d == 13) continue;
+                                const std::int32_t other =
+                                    at(c + Coord(d / 9 - 1, d / 3 % 3 - 1, d % 3 - 1));
+                                if (other >= 0) found[size++] = static_cast<std::uint32_t>(other);
+                            }
+                            if (fill) {
+                                std::sort(found.begin(), found.begin() + size);
+                                std::copy_n(found.begin(), size,
+                                            cells.neighbour.begin() + cells.neighbour_begin[i]);
+                            } else
+                                cells.neighbour_begin[i + 1] = static_cast<std::uint32_t>(size);
+                            ++i;
+                        });
+                    });
+        if (fill) break;
+        for (std::size_t i = 0; i < count; ++i)
+            cells.neighbour_begin[i + 1] += cells.neighbour_begin[i];
+        cells.neighbour.resize(cells.neighbour_begin[count]);
+    }
+}
+
 }  // namespace
 
 Vec3d SurfaceCells::ray_origin(std::size_t cell) const
@@ -337,37 +375,53 @@ SurfaceCells surface_cells(const FloatGrid& surface, const Progress& progress,
             "box cuts the body, give its box",
             mean, deep, count));
 
-    // The surface graph: cells that share a face, an edge or a corner.
-    cells.neighbour_begin.assign(count + 1, 0);
-    for (const bool fill : {false, true}) {
-        over_leaves(source.size(), progress.slice(fill ? 0.85 : 0.7, fill ? 1 : 0.85),
-                    [&](std::size_t k) {
-                        const Around<std::int32_t> at(cells.index, k);
-                        std::size_t i = first[k];
-                        cells.index.mask(k).for_each([&](int o) {
-                            const Coord c = leaf_coord({0, 0, 0}, o);
-                            std::array<std::uint32_t, 26> found;
-                            std::size_t size = 0;
-                            for (int d = 0; d < 27; ++d) {
-                                if (d == 13) continue;
-                                const std::int32_t other =
-                                    at(c + Coord(d / 9 - 1, d / 3 % 3 - 1, d % 3 - 1));
-                                if (other >= 0) found[size++] = static_cast<std::uint32_t>(other);
-                            }
-                            if (fill) {
-                                std::sort(found.begin(), found.begin() + size);
-                                std::copy_n(found.begin(), size,
-                                            cells.neighbour.begin() + cells.neighbour_begin[i]);
-                            } else
-                                cells.neighbour_begin[i + 1] = static_cast<std::uint32_t>(size);
-                            ++i;
-                        });
-                    });
-        if (fill) break;
-        for (std::size_t i = 0; i < count; ++i)
-            cells.neighbour_begin[i + 1] += cells.neighbour_begin[i];
-        cells.neighbour.resize(cells.neighbour_begin[count]);
-    }
+    join_neighbours(cells, first, progress.slice(0.7, 1));
+    return cells;
+}
+
+SurfaceCells surface_cells(const FloatGrid& surface, const VectorGrid& normal,
+                           const FloatGrid& area, const Progress& progress)
+{
+    if (!(surface.transform() == area.transform() && normal.transform() == area.transform()))
+        throw InvalidInput("surface_cells: surface, normals and areas must be on the same lattice");
+    SurfaceCells cells;
+    cells.transform = area.transform();
+    cells.index = IntGrid::uninitialised(area.topology(), cells.transform, -1);
+    std::vector<std::size_t> counts(area.leaf_count());
+    for (std::size_t k = 0; k < counts.size(); ++k)
+        counts[k] = static_cast<std::size_t>(area.mask(k).count());
+    const std::vector<std::size_t> first = prefix_sum(counts);
+    const std::size_t count = first.back();
+    if (count == 0) throw InvalidInput("no_surface_cells: the grid of areas has no active voxel");
+    cells.voxel.resize(count);
+    cells.position.resize(count);
+    cells.normal.resize(count);
+    cells.sdf.resize(count);
+    cells.area.resize(count);
+    over_leaves(counts.size(), progress.slice(0, 0.5), [&](std::size_t k) {
+        std::int32_t* number = cells.index.values(k);
+        std::fill_n(number, kLeafSize, -1);
+        cells.index.mask(k) = area.mask(k);
+        GridReader<float> depth(surface);
+        GridReader<Vec3f> facing(normal);
+        std::size_t i = first[k];
+        area.mask(k).for_each([&](int o) {
+            const Coord c = leaf_coord(area.origin(k), o);
+            number[o] = static_cast<std::int32_t>(i);
+            cells.voxel[i] = c;
+            cells.position[i] = cells.transform.world(centre_of(c));
+            cells.normal[i] = facing.value(c);
+            cells.sdf[i] = depth.value(c);
+            cells.area[i] = area.at(k, o);
+            if (!(cells.area[i] > 0) || !(std::abs(length(cells.normal[i]) - 1) < 1e-3))
+                throw InvalidInput(
+                    fmt::format("surface_cells: voxel {} has the area {:.3g} m^2 and a normal of "
+                                "length {:.3g}; must be > 0 and 1",
+                                text(c), cells.area[i], length(cells.normal[i])));
+            ++i;
+        });
+    });
+    join_neighbours(cells, first, progress.slice(0.5, 1));
     return cells;
 }
 

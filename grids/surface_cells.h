@@ -54,4 +54,9 @@ struct SurfaceCells {
 SurfaceCells surface_cells(const FloatGrid& surface, const Progress& progress,
                            const std::optional<Domain>& box = {});
 
+/// The cells that an earlier search left in a scene as grids: active voxels of `area`.
+/// @throws InvalidInput  no cells, other lattices, an area or a normal that is none
+SurfaceCells surface_cells(const FloatGrid& surface, const VectorGrid& normal,
+                           const FloatGrid& area, const Progress& progress);
+
 }  // namespace sekitei

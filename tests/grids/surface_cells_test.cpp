@@ -164,6 +164,24 @@ TEST(SurfaceCells, ValuesGoToGridsAndBack)
     EXPECT_EQ(some.back(), heights.back());
 }
 
+TEST(SurfaceCells, ComeBackFromTheirGrids)
+{
+    const FloatGrid surface = lumps();
+    const SurfaceCells cells = surface_cells(surface, {}, kBox);
+    const SurfaceCells again =
+        surface_cells(surface, cells.to_grid(cells.normal), cells.to_grid(cells.area), {});
+    EXPECT_EQ(again.voxel, cells.voxel);
+    EXPECT_EQ(again.position, cells.position);
+    EXPECT_EQ(again.normal, cells.normal);
+    EXPECT_EQ(again.area, cells.area);
+    EXPECT_EQ(again.neighbour_begin, cells.neighbour_begin);
+    EXPECT_EQ(again.neighbour, cells.neighbour);
+    std::vector<float> flat(cells.area);
+    flat[3] = 0;
+    EXPECT_THAT([&] { surface_cells(surface, cells.to_grid(cells.normal), cells.to_grid(flat), {}); },
+                ThrowsMessage<InvalidInput>(HasSubstr("has the area 0 m^2")));
+}
+
 TEST(SurfaceCells, LeaveOutWhatIsOnlyCutByTheBox)
 {
     const Vec3d n = normalized(Vec3d(0.3, -0.2, 0.9));
