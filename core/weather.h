@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 namespace sekitei {
@@ -39,18 +40,24 @@ struct Weather {
 /// What to do when a day is missing.
 enum class WeatherFill { Error, Interpolate };
 
-/// Reads JMA daily CSV (Shift_JIS), EPW (hourly, averaged) or own CSV with units in the header,
-/// chosen by content.
+/// Reads JMA daily CSV (Shift_JIS or UTF-8), EPW (hourly, averaged), own CSV with units in the
+/// header, or own CSV of monthly normals, chosen by content; data/weather/README.md shows our own.
 ///
 /// Missing humidity or sunshine is derived and noted. Every bad field is named with its line,
-/// column, value and expectation, all at once.
-/// @param site  replaces the file's, and is needed for derived sunshine where the file has none
-/// @throws InvalidInput
+/// column, value and expectation, all at once. `fill` also says what happens on a day that is there
+/// but lacks a value that cannot be derived; gaps of more than 30 days are never bridged.
+/// @param site  replaces the file's, and is needed for the length of the day where the file has
+/// none
+/// @throws InvalidInput  the file; InvalidParameter  the site
 Weather read_weather(const std::filesystem::path& path, const std::optional<Site>& site,
                      WeatherFill fill);
 
+/// The same from bytes; `name` is used in messages.
+Weather decode_weather(std::string_view bytes, const std::string& name,
+                       const std::optional<Site>& site, WeatherFill fill);
+
 /// Days `first` .. `first + count - 1`; repeats whole years when `repeat` and the series is
-/// shorter.
+/// shorter. Days that repeat keep their dates, so that each exists in the calendar.
 /// @throws InvalidParameter  too short: names both numbers and the option that repeats
 Weather select_days(const Weather& weather, std::size_t first, std::size_t count, bool repeat);
 
