@@ -1,0 +1,354 @@
+#include <fmt/format.h>
+
+#include <array>
+#include <cmath>
+#include <cstring>
+
+#include "core/error.h"
+#include "core/hash.h"
+#include "core/math.h"
+#include "core/parallel.h"
+#include "core/random.h"
+#include "solvers/moss/population.h"
+
+// What leaves a population and comes back: values for grids, points, checkpoints.
+namespace sekitei::moss {
+namespace {
+
+constexpr Stream kYaw{"moss.yaw"};
+constexpr double kFullGrowth = 2;  // G_moss of full visual size
+
+std::vector<std::int32_t> widened(const std::vector<std::uint8_t>& values)
+{
+    return {values.begin(), values.end()};
+}
+
+std::vector<std::int32_t> ages(std::int32_t day, const std::vector<std::uint8_t>& occupied,
+                               const std::vector<std::int32_t>& born)
+{
+    std::vector<std::int32_t> result(occupied.size());
+    for (std::size_t i = 0; i < result.size(); ++i) result[i] = occupied[i] ? day - born[i] : 0;
+    return result;
+}
+
+/// The rotation that turns +y to the unit vector `axis`, after a turn by `yaw` about +y.
+std::array<float, 4> orientation(Vec3d axis, double yaw)
+{
+    // The half-way rotation between two unit vectors is (1 + y . axis, y x axis), scaled.
+    double x = axis.z, z = -axis.x, w = 1 + axis.y;
+    const double size = std::sqrt(x * x + z * z + w * w);
+    if (size > 1e-6)
+        x /= size, z /= size, w /= size;
+    else
+        x = 1, z = w = 0;  // straight down: half a turn about x
+    const double s = math::sin(yaw / 2), c = math::cos(yaw / 2);
+    return {static_cast<float>(x * c - z * s), static_cast<float>(w * s),
+            static_cast<float>(z * c + x * s), static_cast<float>(w * c)};
+}
+
+/// The zero of the level set on the line through p along n within 1.5 voxels, or p.
+Vec3d on_surface(GridReader<float>& level_set, const Transform& transform, Vec3d p, Vec3d n)
+{
+    auto value = [&](double t) {
+        return double(level_set.sample(transform.voxels(p + n * (t * transform.voxel))));
+    };
+    // Walk from p to the side where the sign changes first, then halve.
+    constexpr int kSteps = 12;
+    constexpr double kStep = 0.125;
+    const double start = value(0);
+    const double sign = start < 0 ? 1 : -1;
+    for (int k = 1; k <= kSteps; ++k) {
+        if ((value(sign * k * kStep) < 0) == (start < 0)) continue;
+        double near = sign * (k - 1) * kStep, far = sign * k * kStep;
+        for (int halving = 0; halving < 20; ++halving) {
+            const double middle = (near + far) / 2;
+            ((value(middle) < 0) == (start < 0) ? near : far) = middle;
+        }
+        return p + n * ((near + far) / 2 * transform.voxel);
+    }
+    return p;
+}
+
+template <class T>
+const std::vector<T>& attribute(const Points& points, const char* name, const char* type)
+{
+    const auto found = points.attributes.find(name);
+    if (found == points.attributes.end())
+        throw InvalidInput(fmt::format("moss points: no attribute {}", name));
+    const auto* values = std::get_if<std::vector<T>>(&found->second);
+    if (!values) throw InvalidInput(fmt::format("moss points: {} must be {}", name, type));
+    if (values->size() != points.position.size())
+        throw InvalidInput(fmt::format("moss points: {} has {} values for {} points", name,
+                                       values->size(), points.position.size()));
+    return *values;
+}
+
+constexpr char kMagic[8] = {'S', 'E', 'K', 'I', 'M', 'O', 'S', 'S'};
+constexpr std::uint32_t kVersion = 1;
+constexpr std::size_t kDigest = 32;  // hexadecimal digits at the end
+
+class Writer {
+public:
+    template <class T>
+    void value(const T& v)
+    {
+        bytes.append(reinterpret_cast<const char*>(&v), sizeof v);
+    }
+    void text(std::string_view t)
+    {
+        value(std::uint64_t(t.size()));
+        bytes.append(t);
+    }
+    template <class T>
+    void array(const std::vector<T>& v)
+    {
+        value(std::uint64_t(v.size()));
+        if (!v.empty()) bytes.append(reinterpret_cast<const char*>(v.data()), v.size() * sizeof(T));
+    }
+    std::string bytes;
+};
+
+class Reader {
+public:
+    Reader(std::string_view bytes, std::string where) : bytes_(bytes), where_(std::move(where)) {}
+    template <class T>
+    T value()
+    {
+        T v;
+        take(&v, sizeof v);
+        return v;
+    }
+    std::string text()
+    {
+        std::string t(length(1), '\0');
+        take(t.data(), t.size());
+        return t;
+    }
+    template <class T>
+    std::vector<T> array()
+    {
+        std::vector<T> v(length(sizeof(T)));
+        take(v.data(), v.size() * sizeof(T));
+        return v;
+    }
+    bool at_end() const { return bytes_.empty(); }
+    [[noreturn]] void damaged(const std::string& what) const
+    {
+        throw InvalidInput(
+            fmt::format("{}: damaged checkpoint: {}; start without it", where_, what));
+    }
+
+private:
+    std::size_t length(std::size_t size)
+    {
+        const auto n = value<std::uint64_t>();
+        if (n > bytes_.size() / size) damaged("it ends too early");
+        return static_cast<std::size_t>(n);
+    }
+    void take(void* to, std::size_t size)
+    {
+        if (size > bytes_.size()) damaged("it ends too early");
+        if (size) std::memcpy(to, bytes_.data(), size);
+        bytes_.remove_prefix(size);
+    }
+    std::string_view bytes_;
+    std::string where_;
+};
+
+/// Visits every array of a population, in the order of the file.
+template <class P, class F>
+void each_array(P& p, F&& f)
+{
+    f(p.species), f(p.growth), f(p.growth_max), f(p.born), f(p.id);
+    f(p.seed_kind), f(p.seed_species), f(p.seed_born), f(p.seed_id);
+    f(p.cover);
+}
+
+}  // namespace
+
+std::vector<std::int32_t> moss_species(const Population& p)
+{
+    return widened(p.species);
+}
+std::vector<std::int32_t> moss_age(const Population& p)
+{
+    return ages(p.day, p.species, p.born);
+}
+std::vector<std::int32_t> seed_kind(const Population& p)
+{
+    return widened(p.seed_kind);
+}
+std::vector<std::int32_t> seed_species(const Population& p)
+{
+    return widened(p.seed_species);
+}
+std::vector<std::int32_t> seed_age(const Population& p)
+{
+    return ages(p.day, p.seed_kind, p.seed_born);
+}
+
+Points to_points(const Population& p, const Community& community, const Surface& surface,
+                 const FloatGrid* level_set, std::span<const float> humidity)
+{
+    if (p.size() != surface.size() || (!humidity.empty() && humidity.size() != p.size()))
+        throw InvalidInput(
+            fmt::format("moss: {} sites with moss, {} of the surface, {} with humidity", p.size(),
+                        surface.size(), humidity.size()));
+    std::vector<std::int32_t> site;
+    for (std::size_t i = 0; i < p.size(); ++i)
+        if (p.species[i]) site.push_back(static_cast<std::int32_t>(i));
+    const std::size_t n = site.size();
+
+    Points points;
+    points.position.resize(n);
+    std::vector<Vec3f> normal(n);
+    std::vector<std::array<float, 4>> orient(n);
+    std::vector<float> pscale(n), growth(n), growth_max(n), wetness(humidity.empty() ? 0 : n);
+    std::vector<std::int32_t> species(n), age(n);
+    std::vector<std::int64_t> id(n);
+    const std::uint64_t yaw_key = hash2(community.seed, kYaw.id);
+    parallel_for_range(
+        n,
+        [&](std::size_t begin, std::size_t end) {
+            std::optional<GridReader<float>> reader;
+            if (level_set) reader.emplace(*level_set);
+            for (std::size_t k = begin; k < end; ++k) {
+                const auto i = static_cast<std::size_t>(site[k]);
+                const Vec3d normal_d = normalized(Vec3d(surface.normal[i]));
+                points.position[k] = surface.foot(i);
+                if (reader)
+                    points.position[k] =
+                        on_surface(*reader, level_set->transform(), points.position[k], normal_d);
+                normal[k] = surface.normal[i];
+                orient[k] = orientation(normalized(normal_d + Vec3d(0, 0, 0.5)),
+                                        2 * math::kPi * uniform_of_key(yaw_key, p.id[i]));
+                growth[k] = p.growth[i];
+                growth_max[k] = p.growth_max[i];
+                pscale[k] = static_cast<float>(std::min(1.0, double(p.growth[i]) / kFullGrowth));
+                species[k] = p.species[i] - 1;
+                age[k] = p.day - p.born[i];
+                id[k] = static_cast<std::int64_t>(p.id[i]);
+                if (!humidity.empty()) wetness[k] = humidity[i];
+            }
+        },
+        256);
+    points.attributes = {{"N", std::move(normal)},
+                         {"orient", std::move(orient)},
+                         {"pscale", std::move(pscale)},
+                         {"species", std::move(species)},
+                         {"age", std::move(age)},
+                         {"id", std::move(id)},
+                         {"site", std::move(site)},
+                         {"growth", std::move(growth)},
+                         {"growth_max", std::move(growth_max)}};
+    if (!humidity.empty()) points.attributes["wetness"] = std::move(wetness);
+    points.stage = "moss";
+    return points;
+}
+
+Population from_points(const Points& points, const Community& community, const Surface& surface,
+                       std::int32_t day)
+{
+    const auto& site = attribute<std::int32_t>(points, "site", "int32");
+    const auto& species = attribute<std::int32_t>(points, "species", "int32");
+    const auto& age = attribute<std::int32_t>(points, "age", "int32");
+    const auto& id = attribute<std::int64_t>(points, "id", "int64");
+    const auto& growth = attribute<float>(points, "growth", "float");
+    const auto& growth_max = attribute<float>(points, "growth_max", "float");
+    Population p(surface.size());
+    p.day = day;
+    for (std::size_t k = 0; k < points.position.size(); ++k) {
+        auto require = [&](bool good, const char* name, double value, const std::string& range) {
+            if (!good)
+                throw InvalidInput(fmt::format("moss points: {} of point {} = {:.9g}, must be {}",
+                                               name, k, value, range));
+        };
+        require(site[k] >= 0 && static_cast<std::size_t>(site[k]) < p.size(), "site", site[k],
+                fmt::format("below {}, the number of sites", p.size()));
+        require(species[k] >= 0 && static_cast<std::size_t>(species[k]) < community.species.size(),
+                "species", species[k],
+                fmt::format("below {}, the number of species", community.species.size()));
+        require(age[k] >= 0 && age[k] <= day, "age", age[k], fmt::format("0 to {}", day));
+        require(id[k] >= 1, "id", static_cast<double>(id[k]), "positive");
+        require(growth[k] >= 0 && growth[k] < 1e30F, "growth", growth[k], "finite, not negative");
+        require(growth_max[k] >= growth[k] && growth_max[k] < 1e30F, "growth_max", growth_max[k],
+                "finite, at least growth");
+        const auto i = static_cast<std::size_t>(site[k]);
+        require(!p.species[i], "site", site[k], "that of no other point");
+        p.species[i] = static_cast<std::uint8_t>(species[k] + 1);
+        p.born[i] = day - age[k];
+        p.id[i] = static_cast<std::uint64_t>(id[k]);
+        p.growth[i] = growth[k];
+        p.growth_max[i] = growth_max[k];
+        p.next_id = std::max(p.next_id, p.id[i] + 1);
+    }
+    update_cover(p, surface);
+    return p;
+}
+
+std::string encode(const Checkpoint& c)
+{
+    Writer w;
+    w.bytes.append(kMagic, sizeof kMagic);
+    w.value(kVersion);
+    w.value(c.seed);
+    w.text(c.recipe);
+    w.value(c.population.day);
+    w.value(c.population.next_id);
+    w.value(c.population.arrivals);
+    each_array(c.population, [&](const auto& v) { w.array(v); });
+    w.value(std::uint64_t(c.fields.size()));
+    for (const auto& [name, values] : c.fields) {
+        w.text(name);
+        w.array(values);
+    }
+    w.bytes += hash_hex(w.bytes);
+    return std::move(w.bytes);
+}
+
+Checkpoint decode(std::string_view bytes, const std::string& where, std::uint64_t seed,
+                  std::string_view recipe, std::size_t sites)
+{
+    if (!bytes.starts_with(std::string_view(kMagic, sizeof kMagic)))
+        throw InvalidInput(fmt::format("{}: not a checkpoint of moss", where));
+    Reader r(bytes.substr(sizeof kMagic), where);
+    if (const auto version = r.value<std::uint32_t>(); version != kVersion)
+        throw InvalidInput(fmt::format(
+            "{}: checkpoint of version {}, this program reads version {}; start without it", where,
+            version, kVersion));
+    if (bytes.size() < kDigest) r.damaged("it ends too early");
+    const std::string_view body = bytes.substr(0, bytes.size() - kDigest);
+    if (hash_hex(body) != bytes.substr(body.size())) r.damaged("its checksum does not match");
+
+    r = Reader(body.substr(sizeof kMagic + sizeof kVersion), where);
+    Checkpoint c;
+    c.seed = r.value<std::uint64_t>();
+    c.recipe = r.text();
+    std::string differs;
+    if (c.seed != seed) differs += fmt::format("; seed {}, this run has {}", c.seed, seed);
+    if (c.recipe != recipe)
+        differs += fmt::format("; recipe {}, this run has {}", c.recipe, recipe);
+    Population& p = c.population;
+    p.day = r.value<std::int32_t>();
+    p.next_id = r.value<std::uint64_t>();
+    p.arrivals = r.value<std::uint64_t>();
+    each_array(p, [&](auto& v) {
+        v = r.template array<typename std::decay_t<decltype(v)>::value_type>();
+    });
+    if (p.size() != sites) differs += fmt::format("; {} sites, this run has {}", p.size(), sites);
+    if (!differs.empty())
+        throw InvalidInput(fmt::format("{}: checkpoint of another run: {}; start without it", where,
+                                       differs.substr(2)));
+    each_array(p, [&](const auto& v) {
+        if (v.size() != sites) r.damaged("arrays of different lengths");
+    });
+    const auto fields = r.value<std::uint64_t>();
+    for (std::uint64_t k = 0; k < fields; ++k) {
+        std::string name = r.text();
+        c.fields[std::move(name)] = r.array<double>();
+    }
+    if (!r.at_end()) r.damaged("something follows its end");
+    return c;
+}
+
+}  // namespace sekitei::moss
