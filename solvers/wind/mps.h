@@ -10,6 +10,7 @@
 #include "solvers/wind/mps_kernel.h"
 #include "solvers/wind/mps_neighbours.h"
 #include "solvers/wind/mps_pressure.h"
+#include "solvers/wind/tunnel.h"
 
 /// The Moving Particle Semi-implicit method [Koshizuka1996] for air among obstacles and for water
 /// with a free surface, in two dimensions (the plane x, z) or three.
@@ -74,25 +75,8 @@ struct Particles {
     void add(Kind kind, Vec3d position, Vec3d velocity = {}, double pressure = 0);
 };
 
-/// A box of air that flows along +x. Behind the inflow face, and on every other face, lie the
-/// particles that carry the boundary condition; the box holds whole numbers of l0.
-struct WindTunnel {
-    Vec3d lower{};               ///< corner of the box [m]; in 2-D y is the plane of the particles
-    Vec3d size{};                ///< [m]; multiples of l0; y is ignored in 2-D
-    double speed = 3;            ///< U0 [m/s], > 0
-    bool moving_ground = false;  ///< else no-slip
-    /// Whether a point is inside an obstacle; asked at the centres of the cubes of edge l0 that
-    /// fill the box, so whatever is thinner than l0 must be made as thick as that. Two layers of
-    /// walls, two of dummies; deeper sites stay empty.
-    std::function<bool(Vec3d)> solid;
-    /// Drag of porous plants, R_U [1/m] at a point; asked by many threads at once.
-    std::function<double(Vec3d)> canopy;
-    /// z of the water's surface at (x, y), NaN where there is none.
-    std::function<double(double x, double y)> water_level;
-
-    /// P_b = 2 rho U0^2: what the pressure is far from obstacles, so that wakes fill.
-    double background_pressure(double density) const { return 2 * density * speed * speed; }
-};
+using wind::BoxMeans;
+using wind::WindTunnel;
 
 /// A box with walls (two layers, and two of dummies behind them) at its sides and ground, open at
 /// the top, with fluid where `fluid` says so; asked at the centres of the cubes of edge l0.
@@ -107,14 +91,6 @@ struct StepReport {
     double time_step = 0;     ///< [s]
     Convergence convergence;  ///< of the Poisson equation
     std::size_t unknowns = 0;
-};
-
-/// Means over all steps since start_statistics().
-struct BoxMeans {
-    double speed = 0;           ///< mean of |u| over particles and time [m/s]; 0 without particles
-    Vec3d velocity{};           ///< mean of u [m/s]
-    double touch = 0;           ///< A_T = A_q, mean of `touch` over the particles that came by
-    std::size_t particles = 0;  ///< that have been in the box
 };
 
 class Simulation {
