@@ -46,14 +46,15 @@ std::array<float, 4> orientation(Vec3d axis, double yaw)
             static_cast<float>(z * c + x * s), static_cast<float>(w * c)};
 }
 
-/// The zero of the level set on the line through p along n within 1.5 voxels, or p.
-Vec3d on_surface(GridReader<float>& level_set, const Transform& transform, Vec3d p, Vec3d n)
+/// The zero of the level set on the line through p along n, within 2.5 voxels, else `otherwise`.
+Vec3d on_surface(GridReader<float>& level_set, const Transform& transform, Vec3d p, Vec3d n,
+                 Vec3d otherwise)
 {
     auto value = [&](double t) {
         return double(level_set.sample(transform.voxels(p + n * (t * transform.voxel))));
     };
     // Walk from p to the side where the sign changes first, then halve.
-    constexpr int kSteps = 12;
+    constexpr int kSteps = 20;
     constexpr double kStep = 0.125;
     const double start = value(0);
     const double sign = start < 0 ? 1 : -1;
@@ -66,7 +67,7 @@ Vec3d on_surface(GridReader<float>& level_set, const Transform& transform, Vec3d
         }
         return p + n * ((near + far) / 2 * transform.voxel);
     }
-    return p;
+    return otherwise;
 }
 
 template <class T>
@@ -215,10 +216,10 @@ Points to_points(const Population& p, const Community& community, const Surface&
             for (std::size_t k = begin; k < end; ++k) {
                 const auto i = static_cast<std::size_t>(site[k]);
                 const Vec3d normal_d = normalized(Vec3d(surface.normal[i]));
-                points.position[k] = surface.foot(i);
-                if (reader)
-                    points.position[k] =
-                        on_surface(*reader, level_set->transform(), points.position[k], normal_d);
+                points.position[k] =
+                    reader ? on_surface(*reader, level_set->transform(), surface.position[i],
+                                        normal_d, surface.foot(i))
+                           : surface.foot(i);
                 normal[k] = surface.normal[i];
                 orient[k] = orientation(normalized(normal_d + Vec3d(0, 0, 0.5)),
                                         2 * math::kPi * uniform_of_key(yaw_key, p.id[i]));

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <functional>
 #include <vector>
@@ -94,11 +95,11 @@ inline const Species& kind(std::string_view name)
     throw std::out_of_range("no such species");
 }
 
-/// A slope with bumps and a step.
+/// A slope with bumps and a ramp.
 inline double bumpy(Vec3d p)
 {
     return 0.7 * (p.z - 14.3 - 0.3 * p.x + 2.5 * std::sin(p.x * 0.4) * std::cos(p.y * 0.3) +
-                  (p.y > 24.4 ? 5 : 0));
+                  3 * std::clamp((p.y - 22.4) / 3, 0.0, 1.0));
 }
 
 }  // namespace sekitei::moss
