@@ -122,6 +122,31 @@ TriMesh quad(Vec3d a, Vec3d b, Vec3d c, Vec3d d)
 
 constexpr double kFar = 1e5;
 
+TEST(SkyView, PatchesFillTheHemisphere)
+{
+    for (const Sky sky : {Sky::Tregenza, Sky::Reinhart})
+        for (const int split : {1, 2, 3}) {
+            const Directions d =
+                directions(kMorioka.latitude, {}, {.sky = sky, .sky_split = split});
+            EXPECT_EQ(d.patches, sky == Sky::Tregenza ? 145 : 577);
+            EXPECT_EQ(d.sky.size(), std::size_t(d.patches * split * split));
+            Vec3d sum;
+            double east = 0;
+            for (const Directions::Part& part : d.sky) {
+                sum += Vec3d(part.weight);
+                east += std::max(0.0, double(part.weight.x));
+                EXPECT_NEAR(length(part.centre), 1, 1e-6);
+            }
+            EXPECT_NEAR(sum.x, 0, 1e-5);
+            EXPECT_NEAR(sum.y, 0, 1e-5);
+            EXPECT_NEAR(sum.z, pi, 1e-5);
+            // Where the sectors meet at north and south, what a wall sees is exact.
+            if (split == 2) {
+                EXPECT_NEAR(east, pi / 2, 1e-5);
+            }
+        }
+}
+
 TEST(SkyView, OverAHorizonIsTheCosineSquared)
 {
     for (const double elevation : {24.0, 48.0}) {
@@ -400,6 +425,14 @@ TEST(ReflectedLight, ComesFromTheSitesThatAreSeen)
     const Light light = day(c, probes, d.moments, d.radiation);
     EXPECT_NEAR(light.reflected.back() / (0.5 * d.radiation.global), 1, 0.01);
     EXPECT_EQ(light.reflected.front(), 0);
+    // Under an endless roof the floor is dark, whatever planes in the open get.
+    const TriMesh roof =
+        quad({-kFar, -kFar, 1}, {kFar, -kFar, 1}, {kFar, kFar, 1}, {-kFar, kFar, 1});
+    probes.add({-8.87, -8.87, 0.1}, {0, 0, -1});
+    const Coefficients shaded = traced(probes, {floor, roof}, params);
+    const Light dark = day(shaded, probes, d.moments, d.radiation);
+    EXPECT_NEAR(dark.reflected[probes.origin.size() - 2], 0, 0.5);
+    EXPECT_NEAR(dark.reflected.back(), 0, 0.5);
 }
 
 TEST(ReflectedLight, GrowsWithEveryBounceAndConvergesToItsSum)

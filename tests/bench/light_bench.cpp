@@ -1,0 +1,190 @@
+// Visibility of a lantern's cells: the tracer against a bare loop of Embree's single rays in the
+// same run, a retrace, the light of a day. Prints: case, sites, threads, seconds, what it comes to,
+// hash.
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <chrono>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "core/hash.h"
+#include "core/parallel.h"
+#include "core/solar_day.h"
+#include "solvers/light/light.h"
+#include "solvers/rays/embree.h"
+#include "tests/support/lantern.h"
+
+namespace {
+
+using namespace sekitei;
+
+double seconds_of(const std::function<void()>& work)
+{
+    const auto start = std::chrono::steady_clock::now();
+    work();
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+}
+
+template <class T>
+std::string hash_of(const std::vector<T>& v)
+{
+    return hash_hex({reinterpret_cast<const char*>(v.data()), v.size() * sizeof(T)}).substr(0, 16);
+}
+
+/// A bare loop: the rays of the same directions into the front of each site, as Embree's manual
+/// writes it. Returns how many rays.
+double raw_rays(RTCScene scene, const std::vector<Vec3f>& directions, const light::Sites& sites,
+                std::vector<std::int32_t>& hidden)
+{
+    hidden.assign(sites.size(), 0);
+    std::vector<std::uint32_t> asked(sites.size());
+    parallel_for(
+        sites.size(),
+        [&](std::size_t i) {
+            const Vec3f o(sites.origin[i]), n = sites.normal[i];
+            for (const Vec3f& d : directions) {
+                if (dot(n, d) <= 0) continue;
+                RTCRay ray{};
+                ray.org_x = o.x;
+                ray.org_y = o.y;
+                ray.org_z = o.z;
+                ray.dir_x = d.x;
+                ray.dir_y = d.y;
+                ray.dir_z = d.z;
+                ray.tfar = INFINITY;
+                ray.mask = 0xFFFFFFFFu;
+#if RTC_VERSION_MAJOR >= 4
+                rtcOccluded1(scene, &ray, nullptr);
+#else
+                RTCIntersectContext context;
+                rtcInitIntersectContext(&context);
+                rtcOccluded1(scene, &context, &ray);
+#endif
+                hidden[i] += ray.tfar < 0;
+                ++asked[i];
+            }
+        },
+        32);
+    double sum = 0;
+    for (const std::uint32_t a : asked) sum += a;
+    return sum;
+}
+
+/// The same scene without the wrapper.
+struct RawScene {
+    RTCDevice device = rtcNewDevice(nullptr);
+    RTCScene scene = rtcNewScene(device);
+    explicit RawScene(const TriMesh& mesh)
+    {
+        RTCGeometry g = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
+        auto* points = static_cast<Vec3f*>(rtcSetNewGeometryBuffer(
+            g, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, sizeof(Vec3f), mesh.vertices.size()));
+        std::ranges::copy(mesh.vertices, points);
+        auto* corners = static_cast<std::array<std::uint32_t, 3>*>(rtcSetNewGeometryBuffer(
+            g, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12, mesh.triangles.size()));
+        std::ranges::copy(mesh.triangles, corners);
+        rtcCommitGeometry(g);
+        rtcAttachGeometry(scene, g);
+        rtcReleaseGeometry(g);
+        rtcSetSceneFlags(scene, RTC_SCENE_FLAG_ROBUST);
+        rtcCommitScene(scene);
+    }
+    ~RawScene()
+    {
+        rtcReleaseScene(scene);
+        rtcReleaseDevice(device);
+    }
+    RawScene(const RawScene&) = delete;
+    RawScene& operator=(const RawScene&) = delete;
+};
+
+}  // namespace
+
+int main(int argc, char** argv)
+{
+    const double voxel = argc > 1 ? std::stod(argv[1]) : 0.0052;
+    const lantern::Body body(voxel);
+    const light::Sites sites{body.origins, body.cells.normal, body.cells.area};
+    const std::size_t n = sites.size();
+    const Site site{39.70 * 3.14159265358979 / 180, 2.46};
+    const TriMesh* meshes[] = {&body.mesh};
+    fmt::print("lantern, voxel {} m: {} cells, {} triangles\n", voxel, n,
+               body.mesh.triangles.size());
+
+    // 145 patches and 336 sun bins, one ray each: 481 directions.
+    light::Params rays;
+    rays.sky_split = 1;
+    rays.sun_rows = 12;
+    rays.sun_bins = 336;
+    rays.rain_rays = 4;
+    rays.bounces = 0;
+    const light::Directions d = light::directions(site.latitude, {}, rays);
+    std::vector<Vec3f> directions = d.sun;
+    for (const auto& part : d.sky) directions.push_back(part.centre);
+    const RawScene raw(body.mesh);
+
+    WeatherDay weather;
+    weather.year = 2024;
+    weather.month = 6;
+    weather.day = 21;
+    weather.possible_sunshine = possible_sunshine(site.latitude, 173);
+    weather.sunshine = weather.possible_sunshine / 2;
+    const std::vector<sun::Moment> moments = sun::moments_of_day(2024, 6, 21, site);
+    const sun::Radiation radiation = sun::radiation(weather, site, moments);
+
+    std::vector<std::int32_t> hidden;
+    double count = 0;
+    light::Coefficients thin, full, again;
+    light::Light light;
+    Bounds box;
+    box.add({-1.3, 0.9, 0});
+    box.add({1.1, 1.0, 1.2});
+    struct Case {
+        std::string name;
+        int rounds;
+        std::function<void()> work;
+        std::function<std::string()> hash;
+    };
+    const std::vector<Case> cases = {
+        {"bare Embree loop, 481 directions (peer)", 3,
+         [&] { count = raw_rays(raw.scene, directions, sites, hidden); },
+         [&] { return hash_of(hidden); }},
+        {"trace, 481 directions", 3,
+         [&] { thin = light::trace(sites, meshes, site.latitude, {}, rays, {}); },
+         [&] { return hash_of(thin.bits); }},
+        {"trace, all that is stored", 1,
+         [&] { full = light::trace(sites, meshes, site.latitude, {}, {}, {}); },
+         [&] { return hash_of(full.bits); }},
+        {"retrace around a fence", 1,
+         [&] { again = light::retrace(full, sites, meshes, std::span(&box, 1), {}); },
+         [&] { return hash_of(again.bits); }},
+        {"light of a day, 96 moments", 5,
+         [&] { light = light::day(full, sites, moments, radiation); },
+         [&] { return hash_of(light.total); }},
+    };
+    std::vector<std::vector<double>> times(2 * cases.size());
+    std::vector<std::string> hashes(2 * cases.size());
+    for (int round = 0; round < 5; ++round)
+        for (std::size_t c = 0; c < cases.size(); ++c)
+            for (const std::size_t threads : {2u, 1u}) {
+                if (round >= cases[c].rounds) continue;
+                const ThreadLimit limit(threads);
+                times[2 * c + threads - 1].push_back(seconds_of(cases[c].work));
+                hashes[2 * c + threads - 1] = cases[c].hash();
+            }
+    for (std::size_t k = 0; k < times.size(); ++k) {
+        std::ranges::sort(times[k]);
+        const double median = times[k][times[k].size() / 2];
+        std::string note = fmt::format("{:.2f} M sites/s", double(n) / median / 1e6);
+        if (k / 2 < 2)
+            note = fmt::format("{:.2f} M rays/s, {:.2f} of the peer", count / median / 1e6,
+                               times[k % 2][times[k % 2].size() / 2] / median);
+        fmt::print("{}, {}, {}, {:.4f}, {}, {}\n", cases[k / 2].name, n, k % 2 + 1, median, note,
+                   hashes[k]);
+    }
+    fmt::print("bytes a site: {} of bits, {} of links, 8 of V and e\n", full.words() * 4,
+               full.links.size() * 4 / n);
+}
