@@ -11,6 +11,9 @@ namespace {
 
 constexpr double kFar = 1e9;  // [voxels]; farther out, numbers would not fit an integer
 
+// Adhesion up to here [voxels]: level sets know distances to a little farther.
+constexpr int kReach = 3;
+
 Coord voxel_of(Vec3d p)
 {
     return {static_cast<std::int32_t>(std::floor(p.x)), static_cast<std::int32_t>(std::floor(p.y)),
@@ -42,6 +45,11 @@ CellLanding::CellLanding(const FloatGrid& surface, const SurfaceCells& cells)
     }
 }
 
+double CellLanding::reach() const
+{
+    return kReach * surface_->transform().voxel;
+}
+
 void CellLanding::land(std::span<const Flight> seeds, double adhesion,
                        std::span<std::int32_t> site) const
 {
@@ -59,7 +67,7 @@ std::int32_t CellLanding::land_one(const Flight& seed, double adhesion) const
     return seed.fall.x == 0 && seed.fall.y == 0 ? drop(voxel_of(at)) : drift(at, seed.fall);
 }
 
-/// The cell whose centre is nearest to `at`, among the 125 voxels around it.
+/// The cell whose centre is nearest to `at`, looked for in growing cubes.
 std::int32_t CellLanding::nearest(Vec3d at) const
 {
     GridReader<std::int32_t> index(cells_->index);
@@ -74,16 +82,16 @@ std::int32_t CellLanding::nearest(Vec3d at) const
         if (distance < best_distance || (distance == best_distance && cell < best))
             best = cell, best_distance = distance;
     };
-    for (int x = -1; x <= 1; ++x)
-        for (int y = -1; y <= 1; ++y)
-            for (int z = -1; z <= 1; ++z) look(centre + Coord(x, y, z));
-    // All centres within 1.5 voxels have been seen.
-    if (best_distance <= 1.5 * 1.5) return best;
-    for (int x = -2; x <= 2; ++x)
-        for (int y = -2; y <= 2; ++y)
-            for (int z = -2; z <= 2; ++z)
-                if (std::max({std::abs(x), std::abs(y), std::abs(z)}) == 2)
-                    look(centre + Coord(x, y, z));
+    for (int r = 1; r <= kReach + 2; ++r) {
+        // The cube without the one before; the first includes its middle.
+        for (int x = -r; x <= r; ++x)
+            for (int y = -r; y <= r; ++y) {
+                const bool side = r == 1 || std::abs(x) == r || std::abs(y) == r;
+                for (int z = -r; z <= r; z += side ? 1 : 2 * r) look(centre + Coord(x, y, z));
+            }
+        // All centres within r + 1/2 have been seen.
+        if (best_distance <= (r + 0.5) * (r + 0.5)) break;
+    }
     return best;
 }
 

@@ -19,6 +19,7 @@ class CellLanding final : public Landing {
 public:
     /// Both must outlive this.
     CellLanding(const FloatGrid& surface, const SurfaceCells& cells);
+    double reach() const override;
     void land(std::span<const Flight> seeds, double adhesion,
               std::span<std::int32_t> site) const override;
 

@@ -547,6 +547,12 @@ DayStatistics day(Population& population, const Community& community, const Surf
     check(surface);
     check(population, community, surface);
     check(community, surface, conditions, population.day + 1);
+    const double sticks = adhesion(community.propagation, surface.spacing);
+    if (sticks > landing.reach())
+        throw InvalidParameter(
+            fmt::format("moss: adhesion = {:.6g} m, must be at most {:.6g} m, as "
+                        "far as distances to the surface are known",
+                        sticks, landing.reach()));
     return Step(population, community, surface, landing, conditions).run();
 }
 

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <map>
 #include <optional>
 #include <span>
@@ -108,6 +109,8 @@ public:
     static constexpr std::int32_t kLost = -1;
 
     virtual ~Landing() = default;
+    /// The largest adhesion it can tell [m].
+    virtual double reach() const { return std::numeric_limits<double>::infinity(); }
     /// The site of each seed, or kLost. Called from many threads at once.
     /// @param adhesion  a seed this near the surface sticks [m]
     virtual void land(std::span<const Flight> seeds, double adhesion,
@@ -189,7 +192,7 @@ struct Conditions {
 ///  - cover
 ///
 /// @param population  changed, but whole and as before when this throws
-/// @throws InvalidInput    arrays of different lengths
+/// @throws InvalidInput    arrays of different lengths; adhesion beyond the landing's reach
 /// @throws NumericalError  a fitness that is negative or not finite, with its site
 /// @throws Cancelled       from `progress`, at the start only
 ///

@@ -85,7 +85,7 @@ TEST(MossLanding, AgreesWithExhaustiveSearch)
             const Vec3d p{33 * uniform01(3, Stream("x"), i), 37 * uniform01(3, Stream("y"), i),
                           34 * uniform01(3, Stream("z"), i)};
             const Vec3d at = g.box.transform.world(p);
-            const double adhesion = 0.75 * g.box.transform.voxel;
+            const double adhesion = (i % 3 ? 0.75 : 2.9) * g.box.transform.voxel;
             const std::int32_t expected = brute_force(g, at, adhesion, {0, 0, -1});
             ASSERT_EQ(landed(g.landing, at, adhesion), expected)
                 << name << ' ' << p.x << ' ' << p.y << ' ' << p.z;
@@ -94,6 +94,20 @@ TEST(MossLanding, AgreesWithExhaustiveSearch)
         }
         EXPECT_GT(lost, 30) << name;
         EXPECT_GT(stuck, 30) << name;
+    }
+}
+
+TEST(MossLanding, BetweenTwoCellsTheLowerNumberWins)
+{
+    // Powers of two, so that both are exactly as far.
+    const Ground g(
+        {33, 37, 31}, [](Vec3d p) { return p.z - 12.5; }, 0.25);
+    for (int x = 9; x < 28; ++x) {
+        const Vec3d at = g.box.transform.world({double(x), 16.25, 12.75});
+        const std::int32_t low = g.cells.index.value({x - 1, 16, 11}),
+                           high = g.cells.index.value({x, 16, 11});
+        ASSERT_LT(low, high);
+        EXPECT_EQ(landed(g.landing, at, 0.2), low);
     }
 }
 

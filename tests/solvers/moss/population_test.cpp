@@ -398,6 +398,16 @@ TEST(MossPopulation, GemmaeComeBeforeSpores)
     EXPECT_EQ(c.population.seed_kind[0], 1);
 }
 
+TEST(MossPopulation, AmongSeedsOfADayHigherPriorityWins)
+{
+    Species strong = kind("polytrichum");
+    strong.priority = 0.5;
+    Contest c({kind("bryum"), kind("hypnum"), strong});
+    c.parent(1, 2, 10, 3.1F), c.parent(4, 3, 50, 3.1F), c.parent(5, 1, 20, 1.45F);
+    c.live();
+    EXPECT_EQ(c.population.seed_species[0], 3);
+}
+
 TEST(MossPopulation, ARestingSeedGivesWayToHigherPriorityOnly)
 {
     Species strong = kind("polytrichum");
@@ -719,6 +729,17 @@ TEST(MossPopulation, BadInputIsNamedAndNothingChanges)
     bad = good;
     bad.spacing = 0;
     refuses(everywhere(3, 20, .5F), bad, {}, "site spacing = 0 m");
+
+    struct Near : OneLanding {
+        double reach() const override { return 0.01; }
+    };
+    const Fields bright = everywhere(3, 20, .5F);
+    EXPECT_THAT(
+        [&] {
+            day(p, community, good, Near(), {bright, {}, {}}, {});
+        },
+        ThrowsMessage<InvalidParameter>(HasSubstr("adhesion = 0.0225 m, must be at most 0.01 m")));
+    EXPECT_EQ(p, before);
 
     Population broken = before;
     broken.seed_species[4] = 9;
