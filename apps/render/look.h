@@ -20,9 +20,10 @@ struct SurfacePoint {
 /// What it is made of there: matt with a rough shine [Walter2007].
 struct Material {
     Vec3f albedo{0.5f};
-    Vec3f normal;         ///< with relief
-    float roughness = 1;  ///< square root of GGX alpha
-    float specular = 0;   ///< 0: matt only; 1: reflects 4 % head on
+    Vec3f normal;          ///< with relief
+    float roughness = 1;   ///< square root of GGX alpha
+    float specular = 0;    ///< 0: matt only; 1: reflects 4 % head on
+    Vec3f transmit{0.0f};  ///< albedo of a thin leaf for light from behind; zero: opaque
 };
 
 /// Materials for a mesh and the ground under it.

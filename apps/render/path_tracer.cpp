@@ -5,6 +5,7 @@
 
 #include "apps/render/fast_math.h"
 #include "apps/render/sampler.h"
+#include "apps/render/tufts.h"
 #include "core/math.h"
 #include "core/parallel.h"
 #include "solvers/rays/embree.h"
@@ -150,7 +151,9 @@ public:
             Vec3f geometric;
             float distance = 0;
             bool on_ground = false;
-            const bool met = nearest(origin, direction, point, geometric, distance, on_ground);
+            std::optional<TuftHit> tuft;
+            const bool met =
+                nearest(origin, direction, point, geometric, distance, on_ground, tuft);
             ++rays;
             if (!met) {
                 if (depth == 0) {
@@ -167,7 +170,9 @@ public:
             point.footprint =
                 depth == 0 ? distance * pixel_angle_ / std::max(0.15f, std::abs(dot(geometric, wo)))
                            : 0;
-            Material material = on_ground ? world_.look.ground(point) : world_.look.surface(point);
+            Material material = tuft        ? world_.tufts->material(*tuft, point)
+                                : on_ground ? world_.look.ground(point)
+                                            : world_.look.surface(point);
             // Relief and smoothing may turn a normal away from the viewer: bend it back.
             const float facing = dot(material.normal, wo);
             if (facing < 0.03f)
@@ -182,11 +187,15 @@ public:
                 out.depth = distance;
             }
             const Vec3f start = point.position + geometric * nudge_;
+            const Vec3f behind = point.position - geometric * nudge_;
+            const bool thin = luminance(material.transmit) > 0;
             const bool last = depth >= params_.bounces;
 
             auto lit = [&](Vec3f light, float& scatter_density) {
                 scatter_density = 0;
-                if (dot(geometric, light) <= 0) return Vec3f{};
+                const float facing_light = dot(geometric, light);
+                // A thin leaf passes on to its other side, evenly, what reaches this one.
+                if (facing_light <= 0) return material.transmit * (-facing_light / kPi);
                 return scatter.evaluate(frame.local(light), scatter_density);
             };
             const auto sun_numbers = numbers.next2(), sky_numbers = numbers.next2();
@@ -196,7 +205,7 @@ public:
                 const Vec3f f = light.z > 0 || !world_.ground ? lit(light, unused) : Vec3f{};
                 if (luminance(f) > 0) {
                     ++rays;
-                    if (!rays_.occluded(start, light, 0, far_))
+                    if (!hidden(thin && dot(geometric, light) < 0 ? behind : start, light))
                         add(out.radiance, times(times(through, f), world_.sky.sun_irradiance()),
                             depth);
                 }
@@ -206,7 +215,7 @@ public:
             const Vec3f f = lit(light, scatter_density);
             if (luminance(f) > 0 && !(world_.ground && light.z <= 0)) {
                 ++rays;
-                if (!rays_.occluded(start, light, 0, far_)) {
+                if (!hidden(thin && dot(geometric, light) < 0 ? behind : start, light)) {
                     const float a = light_density * light_density,
                                 b = last ? 0 : scatter_density * scatter_density;
                     add(out.radiance,
@@ -258,8 +267,33 @@ private:
         sum += light;
     }
 
+    bool hidden(Vec3f from, Vec3f direction) const
+    {
+        return rays_.occluded(from, direction, 0, far_) ||
+               (world_.tufts && world_.tufts->occluded(from, direction, far_));
+    }
+
     bool nearest(Vec3f origin, Vec3f direction, SurfacePoint& point, Vec3f& geometric,
-                 float& distance, bool& on_ground) const
+                 float& distance, bool& on_ground, std::optional<TuftHit>& tuft) const
+    {
+        const bool met = nearest_solid(origin, direction, point, geometric, distance, on_ground);
+        TuftHit hit;
+        if (!world_.tufts ||
+            !world_.tufts->intersect(origin, direction, met ? distance : far_, hit))
+            return met;
+        tuft = hit;
+        on_ground = false;
+        distance = static_cast<float>(hit.distance);
+        world_.tufts->place(hit, point.position, geometric, point.normal);
+        if (dot(geometric, direction) > 0) geometric = -geometric;
+        // Half the leaf's own face, half the cushion's: soft, yet every leaf is seen.
+        point.normal = normalized(geometric + point.normal);
+        if (!(dot(point.normal, point.normal) > 0.5f)) point.normal = geometric;
+        return true;
+    }
+
+    bool nearest_solid(Vec3f origin, Vec3f direction, SurfacePoint& point, Vec3f& geometric,
+                       float& distance, bool& on_ground) const
     {
         float reach = far_;
         if (world_.ground && direction.z != 0) {

@@ -15,6 +15,8 @@ class TriangleScene;
 
 namespace sekitei::render {
 
+class Tufts;
+
 /// What is traced. Everything referred to must outlive the call.
 struct World {
     const TriMesh& mesh;
@@ -27,6 +29,7 @@ struct World {
     double haze = INFINITY;         ///< distance at which air hides all but 1/e of a thing [m]
     bool hills = false;             ///< far ridges along the horizon, seen by the camera only
     std::optional<Vec3f> backdrop;  ///< what the camera sees where there is nothing
+    const Tufts* tufts = nullptr;   ///< plants beside the mesh
 };
 
 struct TraceParams {

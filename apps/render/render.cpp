@@ -9,10 +9,12 @@
 #include "apps/render/camera.h"
 #include "apps/render/colour.h"
 #include "apps/render/corner_normals.h"
+#include "apps/render/garden.h"
 #include "apps/render/look.h"
 #include "apps/render/path_tracer.h"
 #include "apps/render/sky.h"
 #include "apps/render/text.h"
+#include "apps/render/tufts.h"
 #include "core/error.h"
 #include "core/log.h"
 #include "core/math.h"
@@ -140,6 +142,49 @@ Image8 develop(const Film& film, std::uint64_t seed, ToDisplay&& to_display)
     return image;
 }
 
+/// Bounds the camera looks at: what the ground buries does not count.
+Bounds shown_bounds(const TriMesh& mesh, const Params& params)
+{
+    Bounds bounds = used_bounds(mesh);
+    if (params.ground && params.ground_height) {
+        if (*params.ground_height >= bounds.upper.z)
+            throw InvalidParameter(
+                fmt::format("render: ground_height = {} m, must be below the top of the mesh, {} m",
+                            *params.ground_height, bounds.upper.z));
+        bounds.lower.z = std::max(bounds.lower.z, *params.ground_height);
+    }
+    return bounds;
+}
+
+float stops_of(const Params& params)
+{
+    return static_cast<float>(math::exp(params.exposure * 0.69314718055994531));
+}
+
+/// A film of daylight as a picture.
+Image8 develop_day(const Film& film, const Sky& sky, const Params& params, std::uint64_t seed)
+{
+    const float gain = kRockExposure * stops_of(params) / std::max(sky.white(), 1e-12f);
+    return develop(film, seed, [&](Vec3f c) { return tone_map(c * gain); });
+}
+
+/// Values of one attribute of the points, checked.
+template <class T>
+const std::vector<T>& moss_attribute(const Points& moss, const char* name, const char* type)
+{
+    const auto found = moss.attributes.find(name);
+    if (found == moss.attributes.end())
+        throw InvalidInput(fmt::format("render: points of moss have no attribute {}", name));
+    const auto* values = std::get_if<std::vector<T>>(&found->second);
+    if (!values)
+        throw InvalidInput(
+            fmt::format("render: attribute {} of moss is of another type, must be {}", name, type));
+    if (values->size() != moss.position.size())
+        throw InvalidInput(fmt::format("render: attribute {} of moss has {} values, must have {}",
+                                       name, values->size(), moss.position.size()));
+    return *values;
+}
+
 }  // namespace
 
 void validate(const Params& params)
@@ -154,14 +199,7 @@ Image8 run(const TriMesh& mesh, const Params& params, std::uint64_t seed, const 
         throw InvalidInput("render: the mesh has no triangles, must have at least one");
     std::optional<Shown> shown;
     if (!params.field.empty()) shown = show_attribute(mesh, params.field);
-    Bounds bounds = used_bounds(mesh);
-    if (params.ground && params.ground_height) {
-        if (*params.ground_height >= bounds.upper.z)
-            throw InvalidParameter(
-                fmt::format("render: ground_height = {} m, must be below the top of the mesh, {} m",
-                            *params.ground_height, bounds.upper.z));
-        bounds.lower.z = std::max(bounds.lower.z, *params.ground_height);
-    }
+    const Bounds bounds = shown_bounds(mesh, params);
     const double size = length(bounds.size());
     progress.update(0);
 
@@ -208,7 +246,7 @@ Image8 run(const TriMesh& mesh, const Params& params, std::uint64_t seed, const 
                 bytes_text(static_cast<double>(rays.memory_bytes())));
     if (params.denoise) denoise(film, progress.slice(0.95, 0.99));
 
-    const auto stops = static_cast<float>(math::exp(params.exposure * 0.69314718055994531));
+    const float stops = stops_of(params);
     Image8 image;
     if (shown) {
         image = develop(film, seed, [&](Vec3f c) { return c * stops; });
@@ -223,9 +261,70 @@ Image8 run(const TriMesh& mesh, const Params& params, std::uint64_t seed, const 
         else
             draw_text(image, margin, margin, params.field, scale, ink);
     } else {
-        const float gain = kRockExposure * stops / std::max(sky.white(), 1e-12f);
-        image = develop(film, seed, [&](Vec3f c) { return tone_map(c * gain); });
+        image = develop_day(film, sky, params, seed);
     }
+    progress.update(1);
+    return image;
+}
+
+std::vector<Tuft> tufts_of(const Points& moss)
+{
+    const auto& orient = moss_attribute<std::array<float, 4>>(moss, "orient", "four floats");
+    const auto& scale = moss_attribute<float>(moss, "pscale", "float");
+    const auto& species = moss_attribute<std::int32_t>(moss, "species", "int32");
+    std::vector<Tuft> tufts(moss.position.size());
+    for (std::size_t i = 0; i < tufts.size(); ++i)
+        tufts[i] = {moss.position[i], orient[i], scale[i], species[i]};
+    return tufts;
+}
+
+Image8 run(const Stuff& stuff, const Params& params, std::uint64_t seed, const Progress& progress)
+{
+    validate(params);
+    if (!(stuff.moss_size > 0 && stuff.moss_size < 1e6))
+        throw InvalidParameter(
+            fmt::format("render: moss_size = {} m, must be > 0", stuff.moss_size));
+    if (stuff.pieces.empty())
+        throw InvalidInput("render: the garden has no meshes, must have at least one");
+    const bool plain = stuff.pieces.size() == 1 && stuff.moss.empty() &&
+                       stuff.pieces[0].substance == Substance::Rock;
+    if (plain || !params.field.empty()) return run(*stuff.pieces[0].mesh, params, seed, progress);
+
+    const TriMesh mesh = joined(stuff.pieces);
+    const Bounds bounds = shown_bounds(mesh, params);
+    const double size = length(bounds.size());
+    progress.update(0);
+    const rays::TriangleScene rays(mesh.vertices, mesh.triangles, "render", progress);
+    const std::vector<Vec3f> normals = corner_normals(mesh, kCrease, progress);
+    const GardenLook look(stuff.pieces, seed, progress);
+    const Tufts tufts(stuff.moss, stuff.species, stuff.moss_size, seed, progress);
+    const Sky sky = Sky::day(direction_of(params.sun_azimuth, params.sun_elevation),
+                             params.sun_size / 2 * kDegree, params.turbidity, !params.ground);
+    World world{.mesh = mesh,
+                .rays = rays,
+                .normals = normals,
+                .look = look,
+                .sky = sky,
+                .camera = make_camera(params, bounds),
+                .ground = {},
+                .haze = params.haze.value_or(std::max(size, 1e-6) * 45),
+                .hills = params.hills && params.ground,
+                .backdrop = {},
+                .tufts = &tufts};
+    if (params.ground) world.ground = params.ground_height.value_or(bounds.lower.z);
+    const TraceParams trace_params{.width = params.width,
+                                   .height = params.height,
+                                   .samples = params.samples,
+                                   .bounces = params.bounces};
+    Film film = trace(world, trace_params, seed, progress.slice(0.02, 0.95));
+    log::detail("render: {} triangles and {} moss plants of {} triangles, {} rays, {} for Embree",
+                count_text(static_cast<double>(mesh.triangles.size())),
+                count_text(static_cast<double>(stuff.moss.size())),
+                count_text(static_cast<double>(tufts.triangles())),
+                count_text(static_cast<double>(film.rays)),
+                bytes_text(static_cast<double>(rays.memory_bytes() + tufts.memory_bytes())));
+    if (params.denoise) denoise(film, progress.slice(0.95, 0.99));
+    const Image8 image = develop_day(film, sky, params, seed);
     progress.update(1);
     return image;
 }

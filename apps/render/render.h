@@ -1,8 +1,10 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "core/image.h"
 #include "core/mesh.h"
@@ -74,6 +76,47 @@ void validate(const Params& params);
 /// Sun and sky light, diffuse and rough specular rock; the same bytes on any number of threads.
 /// @throws InvalidInput  empty mesh, an attribute that is not there
 Image8 run(const TriMesh& mesh, const Params& params, std::uint64_t seed, const Progress& progress);
+
+/// What a mesh is made of.
+enum class Substance {
+    Rock,    ///< as in run() of one mesh
+    Wood,    ///< weathered, grain along z
+    Water,   ///< dark, smooth, mirrors the sky; the mesh need not be closed
+    Foliage  ///< matt leaves that let light through
+};
+
+struct Piece {
+    const TriMesh* mesh = nullptr;  ///< must outlive the call
+    Substance substance = Substance::Rock;
+};
+
+/// A moss plant.
+struct Tuft {
+    Vec3d position;                           ///< its foot, world [m]
+    std::array<float, 4> orient{0, 0, 0, 1};  ///< x y z w; turns local +y along the plant
+    float scale = 1;                          ///< of a full-grown plant; 0 is not drawn
+    std::int32_t species = 1;                 ///< from 1, see Stuff::species
+};
+
+/// A garden: meshes of several substances and what grows on them.
+struct Stuff {
+    std::vector<Piece> pieces;
+    std::vector<Tuft> moss;
+    double moss_size =
+        0.03;  ///< diameter of a plant of scale 1 [m]; 1.6 surface cells closes a mat
+    /// Names of species 1, 2, ...: each of these four looks its own way, others as plain cushions.
+    std::vector<std::string> species{"bryum", "hypnum", "polytrichum", "grimmia"};
+};
+
+/// Plants of points with the attributes `orient` (four floats), `pscale` (float) and `species`
+/// (int32).
+/// @throws InvalidInput  an attribute is missing, of another type or of another length
+std::vector<Tuft> tufts_of(const Points& moss);
+
+/// Renders a garden. One piece of rock without moss gives the bytes of run() of its mesh. With
+/// `field` the first piece alone is shown in colours.
+/// @throws InvalidInput  no triangles, indices or plants out of range; InvalidParameter  moss_size
+Image8 run(const Stuff& stuff, const Params& params, std::uint64_t seed, const Progress& progress);
 
 struct SliceParams {
     std::string grid;  ///< name of the grid to show

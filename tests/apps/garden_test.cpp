@@ -1,128 +1,362 @@
-#include "apps/garden/garden.h"
+#include "apps/render/garden.h"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 
-#include "apps/garden/lantern.h"
+#include "apps/render/camera.h"
+#include "apps/render/path_tracer.h"
+#include "apps/render/tufts.h"
+#include "core/error.h"
+#include "core/math.h"
+#include "core/parallel.h"
+#include "core/random.h"
+#include "solvers/rays/embree.h"
 
-namespace sekitei::garden {
+namespace sekitei::render {
 namespace {
 
-constexpr double kPi = 3.14159265358979323846;
+using testing::HasSubstr;
+using testing::ThrowsMessage;
 
-TEST(Lantern, IsAClosedManifoldWhoseFourWindowsMeet)
+const std::vector<std::string> kSpecies{"bryum", "hypnum", "polytrichum", "grimmia"};
+
+TriMesh plane(float half, float z)
 {
-    const MeshReport report = inspect(lantern(0));
-    EXPECT_TRUE(report.closed());
-    EXPECT_EQ(report.zero_area, 0u);
-    EXPECT_EQ(report.pieces, 2u);
-    EXPECT_EQ(report.genus(), 3);
+    TriMesh mesh;
+    mesh.vertices = {{-half, -half, z}, {half, -half, z}, {half, half, z}, {-half, half, z}};
+    mesh.triangles = {{0, 1, 2}, {0, 2, 3}};
+    return mesh;
 }
 
-TEST(Lantern, HasTheVolumeAndAreaOfItsParts)
+/// Turns +y to +z, then about z.
+std::array<float, 4> upright(double yaw)
 {
-    const TriMesh mesh = lantern(0);
-    const double tunnels = 2 * 0.32 * 0.14 * 0.14 - 0.14 * 0.14 * 0.14;
-    auto frustum = [](double a, double b, double h) { return h / 3 * (a * a + a * b + b * b); };
-    const double volume = 0.5 * 0.5 * 0.15 + kPi * 0.12 * 0.12 * 0.60 + 0.44 * 0.44 * 0.10 +
-                          0.32 * 0.32 * 0.28 - tunnels + frustum(0.72, 0.16, 0.22) +
-                          4.0 / 3 * kPi * std::pow(0.075, 3);
-    EXPECT_NEAR(mesh.signed_volume() / volume, 1, 1e-3);
-
-    const double slant = std::hypot(0.28, 0.22), shaft = kPi * 0.12 * 0.12;
-    const double area = 2 * 0.25 + 4 * 0.5 * 0.15 - shaft             // base
-                        + 2 * kPi * 0.12 * 0.60                       // shaft
-                        + 2 * 0.44 * 0.44 - shaft - 0.32 * 0.32 + 4 * 0.44 * 0.10  // platform
-                        + 4 * (0.32 * 0.28 - 0.14 * 0.14) + 4 * 0.09 * 0.14 * 4 +
-                        2 * 0.14 * 0.14                               // fire box and its inside
-                        + 0.72 * 0.72 - 0.32 * 0.32 + 0.16 * 0.16 + 4 * (0.72 + 0.16) / 2 * slant +
-                        4 * kPi * 0.075 * 0.075;
-    EXPECT_NEAR(mesh.area() / area, 1, 1e-3);
-    const Bounds b = mesh.bounds();
-    EXPECT_NEAR(b.upper.z, kLanternHeight, 1e-3);
-    EXPECT_FLOAT_EQ(float(b.upper.x), 0.36f);
-    EXPECT_FLOAT_EQ(float(b.lower.y), -0.36f);
+    const double s = math::sin(yaw / 2), c = math::cos(yaw / 2), h = std::sqrt(0.5);
+    return {static_cast<float>(h * c), static_cast<float>(h * s), static_cast<float>(h * s),
+            static_cast<float>(h * c)};
 }
 
-TEST(Lantern, TheShaftTouchesItsCylinderFromInside)
+std::vector<Tuft> scattered(int count)
 {
-    const TriMesh mesh = lantern(0);
-    int on_cylinder = 0;
-    for (const Vec3f p : mesh.vertices) {
-        const double r = std::hypot(double(p.x), double(p.y));
-        if (std::abs(r - 0.12) < 1e-6) ++on_cylinder;
+    std::vector<Tuft> tufts;
+    constexpr Stream kWhere{"test.where"};
+    for (int i = 0; i < count; ++i) {
+        const auto k = static_cast<std::uint64_t>(i);
+        tufts.push_back(
+            {Vec3d(0.3 * uniform01(1, kWhere, k, 0), 0.2 * uniform01(1, kWhere, k, 1), 0.7),
+             upright(6.28 * uniform01(1, kWhere, k, 2)),
+             static_cast<float>(0.4 + 0.6 * uniform01(1, kWhere, k, 3)), 1 + i % 4});
     }
-    EXPECT_EQ(on_cylinder, 2 * 96);
+    return tufts;
 }
 
-double at(const FloatGrid& grid, Vec3d world)
+/// A plant's triangles in the world, by the rotation's own formula v + 2 q x (q x v + w v).
+TriMesh grown(const Tuft& t, const TuftShape& shape, double size)
 {
-    GridReader<float> reader(grid);
-    return reader.sample(grid.transform().voxels(world));
+    TriMesh mesh;
+    const Vec3d q(static_cast<double>(t.orient[0]), static_cast<double>(t.orient[1]),
+                  static_cast<double>(t.orient[2]));
+    const auto w = static_cast<double>(t.orient[3]);
+    for (const Vec3f& p : shape.vertices) {
+        const Vec3d v = Vec3d(p) * (size * static_cast<double>(t.scale));
+        mesh.vertices.push_back(Vec3f(t.position + v + cross(q, cross(q, v) + v * w) * 2.0));
+    }
+    mesh.triangles = shape.triangles;
+    return mesh;
 }
 
-TEST(Garden, TheLanternsLevelSetHasItsDistances)
+TEST(Tufts, ShapesAreSoundAndStandOnTheirFoot)
 {
-    const Scene scene = make({}, 1, {});
-    const FloatGrid& sdf = scene.floats("surface_sdf");
-    EXPECT_NEAR(at(sdf, {0, 0.12, 0.45}), 0, 1e-3);   // shaft
-    EXPECT_NEAR(at(sdf, {0.15, 0, 0.45}), 0.03, 1e-3);
-    EXPECT_NEAR(at(sdf, {0.23, 0.05, 0.05}), -0.02, 1e-3);  // base
-    EXPECT_NEAR(at(sdf, {0.115, 0, 0.96}), 0.04, 2e-3);     // in a window, over its sill
-    EXPECT_LT(at(sdf, {0.23, 0.05, -0.08}), 0);             // under the ground
-    EXPECT_FALSE(scene.has("obstacle_sdf"));
-    EXPECT_FALSE(scene.has("water_surface"));
+    for (const std::string name : {"bryum", "hypnum", "polytrichum", "grimmia", "another"})
+        for (int variant = 0; variant < kTuftVariants; ++variant) {
+            SCOPED_TRACE(name + std::to_string(variant));
+            const TuftShape shape = tuft_shape(name, variant);
+            EXPECT_GT(shape.triangles.size(), 300u);
+            EXPECT_LT(shape.triangles.size(), 2500u);
+            ASSERT_EQ(shape.normals.size(), shape.vertices.size());
+            ASSERT_EQ(shape.height.size(), shape.vertices.size());
+            ASSERT_EQ(shape.tone.size(), shape.vertices.size());
+            float top = 0, bottom = 0, wide = 0;
+            for (const Vec3f& v : shape.vertices) {
+                top = std::max(top, v.y);
+                bottom = std::min(bottom, v.y);
+                wide = std::max(wide, std::sqrt(v.x * v.x + v.z * v.z));
+            }
+            EXPECT_GT(top, 0.1f);
+            EXPECT_LT(top, 1.8f);
+            EXPECT_LT(bottom, -0.05f);  // rooted, so that slopes show no gap
+            EXPECT_GT(bottom, -0.5f);
+            EXPECT_GT(wide, 0.35f);
+            EXPECT_LT(wide, 0.85f);
+            for (const auto& t : shape.triangles)
+                for (const std::uint32_t v : t) ASSERT_LT(v, shape.vertices.size());
+            for (const Vec3f& n : shape.normals) ASSERT_NEAR(length(n), 1, 1e-5f);
+        }
+    EXPECT_NE(tuft_shape("bryum", 0).vertices, tuft_shape("bryum", 1).vertices);
+    EXPECT_NE(tuft_shape("bryum", 0).vertices, tuft_shape("grimmia", 0).vertices);
 }
 
-TEST(Garden, FencesStandWhereTheExperimentsWantThem)
+TEST(Tufts, RaysMeetCopiesWhereTheyMeetTheSameTrianglesUncopied)
 {
-    for (const Layout layout : {Layout::Fence, Layout::SouthFence}) {
-        Params p;
-        p.layout = layout;
-        p.fence_distance = 2.3;
-        p.fence_height = 1.7;
-        const Scene scene = make(p, 1, {});
-        const double side = layout == Layout::Fence ? 1 : -1;
-        const FloatGrid& sdf = scene.floats("obstacle_sdf");
-        EXPECT_NEAR(at(sdf, {1, side * 2.3, 0.8}), 0, 2e-3);
-        EXPECT_NEAR(at(sdf, {1, side * 2.5, 0.8}), 0, 2e-3);
-        EXPECT_NEAR(at(sdf, {1, side * 2.4, 0.8}), -0.09, 0.012);  // sampling rounds the ridge
-        EXPECT_NEAR(at(sdf, {1, side * 2.4, 1.7}), 0, 2e-3);
-        EXPECT_NEAR(at(sdf, {5, side * 2.4, 0.8}), 0, 2e-3);
-        EXPECT_GT(at(sdf, {1, -side * 2.4, 0.8}), 0.1);
+    constexpr double kSize = 0.037;
+    const auto tufts = scattered(60);
+    const Tufts copies(tufts, kSpecies, kSize, 9);
+    // Which variant a plant has shows in what its rays meet: try all four for each.
+    std::vector<std::vector<TriMesh>> meshes(tufts.size());
+    for (std::size_t i = 0; i < tufts.size(); ++i)
+        for (int variant = 0; variant < kTuftVariants; ++variant)
+            meshes[i].push_back(
+                grown(tufts[i],
+                      tuft_shape(kSpecies[static_cast<std::size_t>(tufts[i].species - 1)], variant),
+                      kSize));
+    int met = 0;
+    constexpr Stream kRay{"test.ray"};
+    for (std::uint64_t r = 0; r < 2000; ++r) {
+        const Vec3f origin(
+            Vec3d(0.3 * uniform01(2, kRay, r, 0), 0.2 * uniform01(2, kRay, r, 1), 1));
+        const Vec3f direction = normalized(
+            Vec3f(Vec3d(uniform01(2, kRay, r, 2) - 0.5, uniform01(2, kRay, r, 3) - 0.5, -1.3)));
+        TuftHit hit;
+        const bool any = copies.intersect(origin, direction, 9, hit);
+        EXPECT_EQ(any, copies.occluded(origin, direction, 9));
+        if (!any) continue;
+        ++met;
+        Vec3f position, geometric, soft;
+        copies.place(hit, position, geometric, soft);
+        const auto distance = static_cast<float>(hit.distance);
+        EXPECT_LT(length(position - (origin + direction * distance)), 2e-6f);
+        EXPECT_FALSE(copies.occluded(origin, direction, distance * 0.9999f));
+        bool found = false;
+        for (const TriMesh& mesh : meshes[hit.tuft]) {
+            if (hit.triangle >= mesh.triangles.size()) continue;
+            const auto& t = mesh.triangles[hit.triangle];
+            const Vec3f a = mesh.vertices[t[0]], b = mesh.vertices[t[1]], c = mesh.vertices[t[2]];
+            const Vec3f p = a * (1 - hit.u - hit.v) + b * hit.u + c * hit.v;
+            found = found || (length(p - position) < 2e-6f &&
+                              dot(normalized(cross(b - a, c - a)), geometric) > 0.99f);
+        }
+        EXPECT_TRUE(found) << r;
+    }
+    EXPECT_GT(met, 300);
+}
+
+TEST(Tufts, SpeciesHaveTheirOwnColours)
+{
+    std::vector<Vec3d> mean;
+    for (std::int32_t species = 1; species <= 4; ++species) {
+        Tuft t;
+        t.orient = upright(0.3);
+        t.species = species;
+        std::vector<Tuft> plants;
+        for (int i = 0; i < 40; ++i) {
+            t.position = Vec3d(0.03 * i, 0.01 * i, 0);
+            plants.push_back(t);
+        }
+        const Tufts tufts(plants, kSpecies, 0.03, 3);
+        Vec3d sum;
+        double count = 0;
+        for (int i = 0; i < 3000; ++i) {
+            TuftHit hit;
+            const Vec3f origin(Vec3d(0.0004 * i, 0.00013 * i, 0.2));
+            if (!tufts.intersect(origin, {0.05f, 0.02f, -1}, 1, hit)) continue;
+            SurfacePoint p;
+            tufts.place(hit, p.position, p.normal, p.normal);
+            sum += Vec3d(tufts.material(hit, p).albedo);
+            ++count;
+        }
+        ASSERT_GT(count, 500);
+        mean.push_back(sum / count);
+    }
+    for (const Vec3d& c : mean) EXPECT_GT(c.y, c.z * 1.15);   // none is blue
+    EXPECT_GT(mean[1].x / mean[1].y, mean[0].x / mean[0].y);  // hypnum is more golden than bryum
+    EXPECT_LT(mean[2].x / mean[2].y, 0.75);                   // polytrichum green
+    EXPECT_LT(mean[2].y, mean[0].y);                          // and darker
+    EXPECT_GT(mean[3].z / mean[3].y, 1.3 * mean[0].z / mean[0].y);  // grimmia greyer
+}
+
+Params small()
+{
+    Params params;
+    params.width = 64;
+    params.height = 40;
+    params.samples = 4;
+    params.eye = Vec3d(0.15, -0.35, 0.95);
+    params.target = Vec3d(0.15, 0.1, 0.7);
+    params.ground_height = 0.1;
+    return params;
+}
+
+TEST(Garden, OneRockAloneGivesTheBytesOfItsMesh)
+{
+    const TriMesh rock = plane(2, 0.7f);
+    Stuff stuff;
+    stuff.pieces = {{&rock, Substance::Rock}};
+    EXPECT_EQ(run(stuff, small(), 3, {}).pixels, run(rock, small(), 3, {}).pixels);
+    // Several pieces take another way through the code, and must come to the same.
+    const TriMesh none;
+    stuff.pieces.push_back({&none, Substance::Water});
+    EXPECT_EQ(run(stuff, small(), 3, {}).pixels, run(rock, small(), 3, {}).pixels);
+}
+
+TEST(Garden, APictureWithMossIsTheSameOnAnyNumberOfThreads)
+{
+    const TriMesh rock = plane(2, 0.7f), water = plane(3, 0.2f), boards = plane(0.1f, 0.75f);
+    Stuff stuff;
+    stuff.pieces = {
+        {&water, Substance::Water}, {&rock, Substance::Rock}, {&boards, Substance::Wood}};
+    stuff.moss = scattered(200);
+    auto on = [&](std::size_t threads) {
+        const ThreadLimit limit(threads);
+        return run(stuff, small(), 3, {}).pixels;
+    };
+    const auto one = on(1);
+    EXPECT_EQ(one, on(3));
+    stuff.moss.clear();
+    EXPECT_NE(one, on(2));
+}
+
+TEST(Garden, MossMakesRockGreener)
+{
+    const TriMesh rock = plane(2, 0.7f);
+    Stuff stuff;
+    stuff.pieces = {{&rock, Substance::Rock}};
+    auto green = [&] {
+        const Image8 image = run(stuff, small(), 3, {});
+        double sum = 0;  // of green over red and blue, in the middle of the picture
+        for (int y = 15; y < 25; ++y)
+            for (int x = 25; x < 40; ++x)
+                sum += image.at(x, y, 1) - 0.5 * (image.at(x, y, 0) + image.at(x, y, 2));
+        return sum / 150;
+    };
+    const double bare = green();
+    stuff.moss = scattered(600);
+    EXPECT_GT(green(), bare + 10);
+}
+
+TEST(Garden, EachTriangleHasTheSubstanceOfItsPiece)
+{
+    const TriMesh rock = plane(2, 0), water = plane(1, 1), leaves = plane(1, 2);
+    const std::vector<Piece> pieces{
+        {&rock, Substance::Rock}, {&water, Substance::Water}, {&leaves, Substance::Foliage}};
+    const TriMesh all = joined(pieces);
+    ASSERT_EQ(all.triangles.size(), 6u);
+    EXPECT_EQ(all.vertices[all.triangles[3][1]], water.vertices[2]);
+    const GardenLook look(pieces, 1);
+    SurfacePoint p;
+    p.normal = Vec3f(0, 0, 1);
+    p.footprint = 0.001f;
+    for (std::uint32_t t = 0; t < 6; ++t) {
+        p.triangle = t;
+        p.position = all.vertices[all.triangles[t][0]];
+        const Material m = look.surface(p);
+        EXPECT_EQ(m.transmit.y > 0, t >= 4) << t;
+        EXPECT_EQ(m.roughness < 0.1f, t == 2 || t == 3) << t;
+        if (t == 2 || t == 3) {
+            EXPECT_LT(m.albedo.y, 0.03f);
+            EXPECT_GT(m.normal.z, 0.99f);
+        }
     }
 }
 
-TEST(Garden, ThePondHasItsAreaAndLevel)
+/// Radiance of a level leaf over black ground, seen from above.
+double leaf_light(Vec3d sun)
 {
-    Params p;
-    p.layout = Layout::Pond;
-    const IntGrid water = make(p, 1, {}).ints("water_surface");
-    const double cell = water.transform().voxel * water.transform().voxel;
-    EXPECT_NEAR(double(water.active_count()) * cell, 35, 1e-9);
-    for (std::size_t leaf = 0; leaf < water.leaf_count(); ++leaf)
-        water.mask(leaf).for_each([&](int offset) {
-            const Coord c = leaf_coord(water.origin(leaf), offset);
-            EXPECT_EQ(c.z, -1);
-            const Vec3d w = water.transform().world(centre_of(c));
-            EXPECT_TRUE(w.x < -1 && w.x > -6 && std::abs(w.y) < 3.5);
-        });
+    class Leaf : public Look {
+    public:
+        Material surface(const SurfacePoint& p) const override
+        {
+            Material m;
+            m.albedo = Vec3f(0.3f);
+            m.normal = p.normal;
+            m.transmit = Vec3f(0.2f);
+            return m;
+        }
+        Material ground(const SurfacePoint& p) const override { return surface(p); }
+    };
+    const TriMesh mesh = plane(3, 1);
+    const rays::TriangleScene rays(mesh.vertices, mesh.triangles, "test");
+    const std::vector<Vec3f> normals(6, Vec3f(0, 0, 1));
+    Sky sky = Sky::uniform(0, true);
+    sky.set_sun(sun, 0.004, Vec3f(2));
+    const Leaf leaf;
+    Params params;
+    params.eye = Vec3d(0, -0.1, 4);
+    params.target = Vec3d(0, 0, 1);
+    Bounds bounds;
+    for (const Vec3f& v : mesh.vertices) bounds.add(Vec3d(v));
+    const World world{.mesh = mesh,
+                      .rays = rays,
+                      .normals = normals,
+                      .look = leaf,
+                      .sky = sky,
+                      .camera = make_camera(params, bounds)};
+    const Film film = trace(world, {.width = 16, .height = 9, .samples = 8}, 1, {});
+    return static_cast<double>(film.radiance[4 * 16 + 8].y);
 }
 
-TEST(Garden, TreesStandInTheSouthAndNotInThePond)
+TEST(Garden, AThinLeafPassesLightOnFromBehind)
 {
-    Params p;
-    p.layout = Layout::Garden;
-    const Scene scene = make(p, 7, {});
-    const FloatGrid& canopy = scene.floats("canopy_RU");
-    EXPECT_GT(canopy.active_count(), 1000u);
-    for (const Vec3d leaf : scene.points_of("leaves").position) {
-        EXPECT_LT(leaf.y, 4.5);
-        EXPECT_GT(leaf.z, 1);
-        EXPECT_GT(std::hypot(leaf.x, leaf.y), 4);
-    }
+    const Vec3d above = normalized(Vec3d(0.6, 0, 0.8)), below(above.x, 0, -above.z);
+    // Irradiance 2 x 0.8 on either side; no ground, so that the sun may stand below.
+    EXPECT_NEAR(leaf_light(above), 0.3 * 2 * 0.8 / math::kPi, 0.003);
+    EXPECT_NEAR(leaf_light(below), 0.2 * 2 * 0.8 / math::kPi, 0.003);
+}
+
+TEST(Garden, PlantsComeFromPoints)
+{
+    Points points;
+    points.position = {{1, 2, 3}, {4, 5, 6}};
+    points.attributes["orient"] =
+        std::vector<std::array<float, 4>>{{0, 0, 0, 1}, {0.5f, 0.5f, 0.5f, 0.5f}};
+    points.attributes["pscale"] = std::vector<float>{0.25f, 1};
+    EXPECT_THAT([&] { tufts_of(points); },
+                ThrowsMessage<InvalidInput>("render: points of moss have no attribute species"));
+    points.attributes["species"] = std::vector<float>{1, 2};
+    EXPECT_THAT([&] { tufts_of(points); },
+                ThrowsMessage<InvalidInput>(
+                    "render: attribute species of moss is of another type, must be int32"));
+    points.attributes["species"] = std::vector<std::int32_t>{3};
+    EXPECT_THAT([&] { tufts_of(points); }, ThrowsMessage<InvalidInput>(HasSubstr("has 1 values")));
+    points.attributes["species"] = std::vector<std::int32_t>{3, 2};
+    const auto tufts = tufts_of(points);
+    ASSERT_EQ(tufts.size(), 2u);
+    EXPECT_EQ(tufts[1].position, Vec3d(4, 5, 6));
+    EXPECT_EQ(tufts[1].orient[3], 0.5f);
+    EXPECT_EQ(tufts[0].scale, 0.25f);
+    EXPECT_EQ(tufts[0].species, 3);
+}
+
+TEST(Garden, WhatCannotBeDrawnIsNamed)
+{
+    const TriMesh rock = plane(2, 0.7f), none;
+    Stuff stuff;
+    EXPECT_THAT([&] { run(stuff, small(), 1, {}); },
+                ThrowsMessage<InvalidInput>(HasSubstr("the garden has no meshes")));
+    stuff.pieces = {{&none, Substance::Water}};
+    EXPECT_THAT([&] { run(stuff, small(), 1, {}); },
+                ThrowsMessage<InvalidInput>(HasSubstr("the meshes have no triangles")));
+    TriMesh broken = rock;
+    broken.triangles[1][2] = 9;
+    stuff.pieces = {{&rock, Substance::Rock}, {&broken, Substance::Water}};
+    EXPECT_THAT([&] { run(stuff, small(), 1, {}); },
+                ThrowsMessage<InvalidInput>(
+                    "render: triangle 1 of mesh 2 names vertex 9, but the mesh has 4"));
+    stuff.pieces = {{&rock, Substance::Rock}};
+    stuff.moss = scattered(5);
+    stuff.moss[3].species = 5;
+    EXPECT_THAT([&] { run(stuff, small(), 1, {}); },
+                ThrowsMessage<InvalidInput>("render: moss 3 is of species 5, must be 1 to 4"));
+    stuff.moss[3].species = 1;
+    stuff.moss[2].orient = {0, 0, 0, 0};
+    EXPECT_THAT([&] { run(stuff, small(), 1, {}); },
+                ThrowsMessage<InvalidInput>(HasSubstr("render: moss 2 at (")));
+    stuff.moss_size = 0;
+    EXPECT_THAT([&] { run(stuff, small(), 1, {}); },
+                ThrowsMessage<InvalidParameter>("render: moss_size = 0 m, must be > 0"));
 }
 
 }  // namespace
-}  // namespace sekitei::garden
+}  // namespace sekitei::render

@@ -44,15 +44,28 @@ TEST(Plot, AStraightSeriesIsAStraightLineFromCornerToCorner)
 {
     Series s{"", {}, {}};
     for (int i = 0; i <= 30; ++i) {
-        s.x.push_back(10 + 2 * i);
+        s.x.push_back(11 + 2 * i);
         s.y.push_back(50 * i);
     }
-    const Image8 image = plot({s}, {.width = 840, .height = 300});
+    const Image8 image = plot({s}, {.width = 840, .height = 300, .low = 0.0, .high = 1500.0});
     const auto line = line_of(image, kFirst, image.width);
     ASSERT_GT(line.size(), 400u);
     const auto [x0, y0] = *line.begin();
     const auto [x1, y1] = *line.rbegin();
-    EXPECT_GT(y0, y1 + 200);  // upwards
+    // The y axis is the column with the most ink; the line covers its ends.
+    int top = 0, bottom = 0, most = 0;
+    for (int x = 0; x < 200; ++x) {
+        std::vector<int> rows;
+        for (int y = 0; y < image.height; ++y)
+            if (at(image, x, y) == Colour{40, 40, 40}) rows.push_back(y);
+        if (static_cast<int>(rows.size()) <= most) continue;
+        most = static_cast<int>(rows.size());
+        top = rows.front();
+        bottom = rows.back();
+    }
+    EXPECT_GT(bottom, top + 200);
+    EXPECT_NEAR(y0, bottom, 3.5);
+    EXPECT_NEAR(y1, top, 3.5);
     for (const auto& [x, y] : line) EXPECT_NEAR(y, y0 + (y1 - y0) * (x - x0) / (x1 - x0), 1.2) << x;
 }
 

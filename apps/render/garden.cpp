@@ -1,0 +1,154 @@
+#include "apps/render/garden.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/error.h"
+#include "core/noise.h"
+
+namespace sekitei::render {
+namespace {
+
+Vec3f mix(Vec3f a, Vec3f b, float t)
+{
+    return a * (1 - t) + b * t;
+}
+
+/// Still water: nearly a mirror, with a breath of ripples.
+Material water(const SurfacePoint& p, std::uint64_t key)
+{
+    Material m;
+    m.albedo = {0.010f, 0.016f, 0.014f};
+    m.specular = 0.8f;  // 2 % head on is half of what stone reflects; wet banks add to it
+    m.roughness = p.seen ? 0.06f : 0.30f;
+    m.normal = p.normal;
+    if (!p.seen) return m;
+    double slope_x = 0, slope_y = 0;
+    for (const double wavelength : {0.31, 0.11}) {
+        if (static_cast<double>(p.footprint) * 3 > wavelength) continue;
+        auto height = [&](double dx, double dy) {
+            return gradient_noise(
+                key, Vec3d((static_cast<double>(p.position.x) + dx) / wavelength,
+                           (static_cast<double>(p.position.y) + dy) / wavelength, wavelength * 70));
+        };
+        const double d = wavelength * 0.05;
+        slope_x += 0.006 * (height(d, 0) - height(-d, 0)) / 0.1;
+        slope_y += 0.006 * (height(0, d) - height(0, -d)) / 0.1;
+    }
+    m.normal = normalized(p.normal - Vec3f(Vec3d(slope_x, slope_y, 0)));
+    return m;
+}
+
+/// Boards that have stood outside for long: grey over brown, grain along z.
+Material wood(const SurfacePoint& p, std::uint64_t key)
+{
+    Material m;
+    m.normal = p.normal;
+    m.roughness = 0.8f;
+    m.specular = p.seen ? 0.5f : 0;
+    const Vec3d q(p.position);
+    const double grain = gradient_noise(key + 1, Vec3d(q.x * 160, q.y * 160, q.z * 6)) +
+                         0.6 * gradient_noise(key + 2, Vec3d(q.x * 420, q.y * 420, q.z * 14));
+    const double wide = gradient_noise(key + 3, q * 2.3);
+    const auto grey = static_cast<float>(std::clamp(0.5 + 0.8 * wide, 0.0, 1.0));
+    m.albedo = mix({0.135f, 0.092f, 0.058f}, {0.180f, 0.165f, 0.145f}, grey) *
+               (p.seen ? static_cast<float>(1 + 0.35 * grain) : 1.0f);
+    return m;
+}
+
+Material foliage(const SurfacePoint& p, std::uint64_t key)
+{
+    Material m;
+    m.normal = p.normal;
+    m.roughness = 0.6f;
+    m.specular = p.seen ? 0.4f : 0;
+    const auto tone = static_cast<float>(gradient_noise(key + 4, Vec3d(p.position) * 3.7) +
+                                         0.6 * gradient_noise(key + 5, Vec3d(p.position) * 17.0));
+    m.albedo = mix({0.060f, 0.105f, 0.028f}, {0.110f, 0.150f, 0.040f},
+                   std::clamp(0.5f + tone, 0.0f, 1.0f));
+    m.transmit = m.albedo * 0.5f;
+    return m;
+}
+
+}  // namespace
+
+TriMesh joined(const std::vector<Piece>& pieces)
+{
+    TriMesh all;
+    for (std::size_t k = 0; k < pieces.size(); ++k) {
+        const TriMesh& mesh = *pieces[k].mesh;
+        const auto first = static_cast<std::uint32_t>(all.vertices.size());
+        if (mesh.vertices.size() > 0xFFFFFFFFu - first)
+            throw LimitExceeded("render: the meshes have more than 2^32 vertices together");
+        all.vertices.insert(all.vertices.end(), mesh.vertices.begin(), mesh.vertices.end());
+        for (std::size_t i = 0; i < mesh.triangles.size(); ++i) {
+            auto t = mesh.triangles[i];
+            for (std::uint32_t& v : t) {
+                if (v >= mesh.vertices.size())
+                    throw InvalidInput(
+                        fmt::format("render: triangle {} of mesh {} names vertex {}, but the mesh "
+                                    "has {}",
+                                    i, k + 1, v, mesh.vertices.size()));
+                v += first;
+            }
+            all.triangles.push_back(t);
+        }
+    }
+    if (all.triangles.empty())
+        throw InvalidInput("render: the meshes have no triangles, must have at least one");
+    return all;
+}
+
+GardenLook::GardenLook(const std::vector<Piece>& pieces, std::uint64_t seed,
+                       const Progress& progress)
+    : key_(hash2(seed, Stream("render.garden").id))
+{
+    std::size_t first = 0;
+    for (const Piece& piece : pieces) {
+        if (piece.mesh->triangles.empty()) continue;
+        Part part{first, piece.substance, nullptr};
+        if (piece.substance == Substance::Rock) {
+            rocks_.push_back(std::make_unique<RockLook>(*piece.mesh, seed, progress));
+            part.rock = rocks_.back().get();
+        }
+        parts_.push_back(part);
+        first += piece.mesh->triangles.size();
+    }
+    // Without any rock the first piece lends its size to the ground's pattern.
+    if (rocks_.empty())
+        for (const Piece& piece : pieces)
+            if (!piece.mesh->triangles.empty()) {
+                rocks_.push_back(std::make_unique<RockLook>(*piece.mesh, seed, progress));
+                break;
+            }
+}
+
+Material GardenLook::surface(const SurfacePoint& point) const
+{
+    const auto after =
+        std::upper_bound(parts_.begin(), parts_.end(), point.triangle,
+                         [](std::size_t t, const Part& part) { return t < part.first; });
+    const Part& part = *(after - 1);
+    switch (part.substance) {
+        case Substance::Water:
+            return water(point, key_);
+        case Substance::Wood:
+            return wood(point, key_);
+        case Substance::Foliage:
+            return foliage(point, key_);
+        case Substance::Rock:
+            break;
+    }
+    SurfacePoint own = point;
+    own.triangle = point.triangle - static_cast<std::uint32_t>(part.first);
+    return part.rock->surface(own);
+}
+
+Material GardenLook::ground(const SurfacePoint& point) const
+{
+    return rocks_.front()->ground(point);
+}
+
+}  // namespace sekitei::render

@@ -1,0 +1,34 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "apps/render/look.h"
+#include "apps/render/render.h"
+
+namespace sekitei::render {
+
+/// All pieces in one mesh, without attributes: what rays meet.
+/// @throws InvalidInput  no triangles, an index out of range
+TriMesh joined(const std::vector<Piece>& pieces);
+
+/// Substances of the pieces of joined(). Rock keeps the columns and surfaces its mesh knows; the
+/// ground is that of the first rock.
+class GardenLook : public Look {
+public:
+    GardenLook(const std::vector<Piece>& pieces, std::uint64_t seed, const Progress& progress = {});
+    Material surface(const SurfacePoint& point) const override;
+    Material ground(const SurfacePoint& point) const override;
+
+private:
+    struct Part {
+        std::size_t first = 0;  // triangle
+        Substance substance = Substance::Rock;
+        const RockLook* rock = nullptr;
+    };
+    std::vector<Part> parts_;
+    std::vector<std::unique_ptr<RockLook>> rocks_;
+    std::uint64_t key_;
+};
+
+}  // namespace sekitei::render

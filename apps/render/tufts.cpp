@@ -1,0 +1,329 @@
+#include "apps/render/tufts.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/error.h"
+#include "core/noise.h"
+#include "core/random.h"
+#include "solvers/rays/embree.h"
+
+namespace sekitei::render {
+namespace {
+
+/// Colours of a species: of the shaded foot, of leaves, of young tips, of capsules.
+struct Palette {
+    std::string_view name;
+    Vec3f foot, leaf, tip;
+    float transmit;  ///< share of the colour that shines through
+};
+constexpr std::array<Palette, 5> kPalettes{{
+    {"bryum", {0.040f, 0.045f, 0.012f}, {0.105f, 0.155f, 0.024f}, {0.300f, 0.370f, 0.070f}, 0.45f},
+    {"hypnum", {0.060f, 0.048f, 0.014f}, {0.120f, 0.148f, 0.025f}, {0.315f, 0.335f, 0.056f}, 0.45f},
+    {"polytrichum",
+     {0.050f, 0.028f, 0.014f},
+     {0.040f, 0.098f, 0.026f},
+     {0.105f, 0.205f, 0.050f},
+     0.30f},
+    {"grimmia",
+     {0.028f, 0.032f, 0.020f},
+     {0.092f, 0.108f, 0.066f},
+     {0.215f, 0.235f, 0.165f},
+     0.20f},
+    {"", {0.038f, 0.045f, 0.014f}, {0.120f, 0.175f, 0.035f}, {0.280f, 0.340f, 0.080f}, 0.40f},
+}};
+constexpr Vec3f kHair{0.46f, 0.46f, 0.42f};
+constexpr Vec3f kStalk{0.165f, 0.062f, 0.022f};
+
+const Palette& palette(const std::string& species)
+{
+    for (const Palette& p : kPalettes)
+        if (p.name == species) return p;
+    return kPalettes.back();
+}
+
+Vec3f mix(Vec3f a, Vec3f b, float t)
+{
+    return a * (1 - t) + b * t;
+}
+float smooth(float low, float high, float x)
+{
+    const float t = std::clamp((x - low) / (high - low), 0.0f, 1.0f);
+    return t * t * (3 - 2 * t);
+}
+
+struct Placed {
+    Vec3f x, y, z;  // images of the plant's axes, with its scale
+    Vec3f position;
+    std::uint32_t shape = 0;
+    Vec3f world(Vec3f p) const { return position + x * p.x + y * p.y + z * p.z; }
+    Vec3f turned(Vec3f v) const { return normalized(x * v.x + y * v.y + z * v.z); }
+};
+
+Placed placed(const Tuft& t, std::size_t i, double size)
+{
+    const auto [qx, qy, qz, qw] = t.orient;
+    const double norm = static_cast<double>(qx) * qx + static_cast<double>(qy) * qy +
+                        static_cast<double>(qz) * qz + static_cast<double>(qw) * qw;
+    if (!(std::isfinite(t.position.x) && std::isfinite(t.position.y) &&
+          std::isfinite(t.position.z) && std::isfinite(t.scale) && norm > 1e-12 && norm < 1e12))
+        throw InvalidInput(fmt::format(
+            "render: moss {} at ({}, {}, {}) m with scale {} and orient ({}, {}, {}, {}), must be "
+            "finite, with an orientation",
+            i, t.position.x, t.position.y, t.position.z, t.scale, qx, qy, qz, qw));
+    const double s = size * static_cast<double>(t.scale) / norm;
+    const double x = qx, y = qy, z = qz, w = qw;
+    Placed p;
+    p.x = Vec3f(Vec3d(w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)) * s);
+    p.y = Vec3f(Vec3d(2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)) * s);
+    p.z = Vec3f(Vec3d(2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z) * s);
+    p.position = Vec3f(t.position);
+    return p;
+}
+
+}  // namespace
+
+struct Tufts::State {
+    std::vector<TuftShape> shapes;  // kTuftVariants a species
+    std::vector<std::string> species;
+    std::vector<Placed> placed;
+    std::vector<Vec3f> tint;  // of each plant
+    std::uint64_t key = 0;
+    double size = 1;
+    std::size_t triangles = 0;
+
+    std::atomic<std::int64_t> bytes{0};
+    RTCDevice device = nullptr;
+    RTCScene scene = nullptr;
+    std::vector<RTCScene> prototypes;
+
+    ~State()
+    {
+        if (scene) rtcReleaseScene(scene);
+        for (RTCScene s : prototypes)
+            if (s) rtcReleaseScene(s);
+        if (device) rtcReleaseDevice(device);
+    }
+    void build(const Progress& progress);
+};
+
+void Tufts::State::build(const Progress& progress)
+{
+    device = rtcNewDevice(nullptr);
+    if (!device) throw LimitExceeded("render: Embree could not start");
+    rtcSetDeviceMemoryMonitorFunction(
+        device,
+        [](void* total, ssize_t change, bool) {
+            static_cast<std::atomic<std::int64_t>*>(total)->fetch_add(change);
+            return true;
+        },
+        &bytes);
+    for (const TuftShape& shape : shapes) {
+        RTCScene prototype = rtcNewScene(device);
+        prototypes.push_back(prototype);
+        rtcSetSceneFlags(prototype, RTC_SCENE_FLAG_ROBUST);
+        RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
+        void* points =
+            rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
+                                    sizeof(Vec3f), shape.vertices.size());
+        void* corners =
+            rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
+                                    sizeof(shape.triangles[0]), shape.triangles.size());
+        if (points && corners) {
+            std::memcpy(points, shape.vertices.data(), shape.vertices.size() * sizeof(Vec3f));
+            std::memcpy(corners, shape.triangles.data(),
+                        shape.triangles.size() * sizeof(shape.triangles[0]));
+            rtcCommitGeometry(geometry);
+            rtcAttachGeometry(prototype, geometry);
+            rtcCommitScene(prototype);
+        }
+        rtcReleaseGeometry(geometry);
+    }
+    scene = rtcNewScene(device);
+    rtcSetSceneFlags(scene, RTC_SCENE_FLAG_ROBUST);
+    for (std::size_t i = 0; i < placed.size(); ++i) {
+        if (i % 1024 == 0) progress.check();
+        const Placed& p = placed[i];
+        RTCGeometry instance = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_INSTANCE);
+        rtcSetGeometryInstancedScene(instance, prototypes[p.shape]);
+        const std::array<float, 12> matrix{p.x.x, p.x.y,        p.x.z,        p.y.x,
+                                           p.y.y, p.y.z,        p.z.x,        p.z.y,
+                                           p.z.z, p.position.x, p.position.y, p.position.z};
+        rtcSetGeometryTransform(instance, 0, RTC_FORMAT_FLOAT3X4_COLUMN_MAJOR, matrix.data());
+        rtcCommitGeometry(instance);
+        rtcAttachGeometryByID(scene, instance, static_cast<unsigned>(i));
+        rtcReleaseGeometry(instance);
+    }
+    rtcCommitScene(scene);
+    if (rtcGetDeviceError(device) != RTC_ERROR_NONE)
+        throw LimitExceeded("render: no memory for the rays of " +
+                            count_text(static_cast<double>(placed.size())) + " moss plants");
+}
+
+Tufts::Tufts(const std::vector<Tuft>& tufts, const std::vector<std::string>& species, double size,
+             std::uint64_t seed, const Progress& progress)
+    : state_(std::make_unique<State>())
+{
+    State& s = *state_;
+    s.species = species;
+    s.size = size;
+    s.key = hash2(seed, Stream("render.tufts").id);
+    for (const std::string& name : species)
+        for (int variant = 0; variant < kTuftVariants; ++variant)
+            s.shapes.push_back(tuft_shape(name, variant));
+    for (std::size_t i = 0; i < tufts.size(); ++i) {
+        const Tuft& t = tufts[i];
+        Placed p = placed(t, i, size);
+        if (t.species < 1 || static_cast<std::size_t>(t.species) > species.size())
+            throw InvalidInput(fmt::format("render: moss {} is of species {}, must be 1 to {}", i,
+                                           t.species, species.size()));
+        if (!(t.scale > 0)) continue;
+        // One plant in twelve bears capsules.
+        const double which = uniform_of_key(s.key, i * 4);
+        const int variant = which < 1.0 / 12 ? kTuftVariants - 1
+                                             : static_cast<int>(which * 997) % (kTuftVariants - 1);
+        p.shape = static_cast<std::uint32_t>((t.species - 1) * kTuftVariants + variant);
+        s.triangles += s.shapes[p.shape].triangles.size();
+        // Brighter or darker, yellower or bluer: each by itself, and in patches.
+        auto patch = [&](std::uint64_t k, double wavelength) {
+            return gradient_noise(hash2(s.key, k), Vec3d(t.position) / (size * wavelength));
+        };
+        const double bright =
+            1 + 0.30 * (uniform_of_key(s.key, i * 4 + 1) - 0.5) + 0.45 * patch(1, 9);
+        const double warm = 0.22 * (uniform_of_key(s.key, i * 4 + 2) - 0.5) + 0.55 * patch(2, 14) +
+                            0.25 * patch(3, 4);
+        s.tint.push_back(Vec3f(Vec3d(bright * (1 + 0.36 * warm), bright * (1 + 0.06 * warm),
+                                     bright * (1 - 0.4 * warm))));
+        s.placed.push_back(p);
+    }
+    if (!s.placed.empty()) s.build(progress);
+}
+
+Tufts::~Tufts() = default;
+
+bool Tufts::intersect(Vec3f origin, Vec3f direction, float far, TuftHit& hit) const
+{
+    if (!state_->scene) return false;
+    RTCRayHit query{};
+    query.ray.org_x = origin.x;
+    query.ray.org_y = origin.y;
+    query.ray.org_z = origin.z;
+    query.ray.dir_x = direction.x;
+    query.ray.dir_y = direction.y;
+    query.ray.dir_z = direction.z;
+    query.ray.tfar = far;
+    query.ray.mask = 0xFFFFFFFFu;
+    query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+    query.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+#if RTC_VERSION_MAJOR >= 4
+    rtcIntersect1(state_->scene, &query, nullptr);
+#else
+    RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    rtcIntersect1(state_->scene, &context, &query);
+#endif
+    if (query.hit.geomID == RTC_INVALID_GEOMETRY_ID) return false;
+    hit.tuft = query.hit.instID[0];
+    hit.triangle = query.hit.primID;
+
+    // Distance and weights in double [Moeller1997]; Embree's distance for a ray within the plane.
+    const Placed& p = state_->placed[hit.tuft];
+    const TuftShape& shape = state_->shapes[p.shape];
+    const auto& t = shape.triangles[hit.triangle];
+    const Vec3d a(p.world(shape.vertices[t[0]]));
+    const Vec3d e1 = Vec3d(p.world(shape.vertices[t[1]])) - a,
+                e2 = Vec3d(p.world(shape.vertices[t[2]])) - a, d(direction);
+    const Vec3d h = cross(d, e2), s = Vec3d(origin) - a, q = cross(s, e1);
+    const double det = dot(e1, h);
+    if (det == 0) {
+        hit.distance = static_cast<double>(query.ray.tfar);
+        hit.u = hit.v = 1.0f / 3;
+        return true;
+    }
+    const double u = std::clamp(dot(s, h) / det, 0.0, 1.0);
+    hit.u = static_cast<float>(u);
+    hit.v = static_cast<float>(std::clamp(dot(d, q) / det, 0.0, 1.0 - u));
+    hit.distance = std::max(0.0, dot(e2, q) / det);
+    return true;
+}
+
+bool Tufts::occluded(Vec3f origin, Vec3f direction, float far) const
+{
+    if (!state_->scene) return false;
+    RTCRay ray{};
+    ray.org_x = origin.x;
+    ray.org_y = origin.y;
+    ray.org_z = origin.z;
+    ray.dir_x = direction.x;
+    ray.dir_y = direction.y;
+    ray.dir_z = direction.z;
+    ray.tfar = far;
+    ray.mask = 0xFFFFFFFFu;
+#if RTC_VERSION_MAJOR >= 4
+    rtcOccluded1(state_->scene, &ray, nullptr);
+#else
+    RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    rtcOccluded1(state_->scene, &context, &ray);
+#endif
+    return ray.tfar < 0;
+}
+
+void Tufts::place(const TuftHit& hit, Vec3f& position, Vec3f& geometric, Vec3f& soft) const
+{
+    const Placed& p = state_->placed[hit.tuft];
+    const TuftShape& shape = state_->shapes[p.shape];
+    const auto& t = shape.triangles[hit.triangle];
+    const Vec3f a = p.world(shape.vertices[t[0]]), e1 = p.world(shape.vertices[t[1]]) - a,
+                e2 = p.world(shape.vertices[t[2]]) - a;
+    position = a + e1 * hit.u + e2 * hit.v;
+    geometric = normalized(cross(e1, e2));
+    soft = p.turned(shape.normals[t[0]] * (1 - hit.u - hit.v) + shape.normals[t[1]] * hit.u +
+                    shape.normals[t[2]] * hit.v);
+}
+
+Material Tufts::material(const TuftHit& hit, const SurfacePoint& point) const
+{
+    const Placed& p = state_->placed[hit.tuft];
+    const TuftShape& shape = state_->shapes[p.shape];
+    const auto& t = shape.triangles[hit.triangle];
+    auto at = [&](const std::vector<float>& values) {
+        return values[t[0]] * (1 - hit.u - hit.v) + values[t[1]] * hit.u + values[t[2]] * hit.v;
+    };
+    const float height = at(shape.height), tone = shape.tone[t[0]];
+    const std::string& species = state_->species[p.shape / kTuftVariants];
+    const Palette& of = palette(species);
+
+    Material m;
+    m.normal = point.normal;
+    m.roughness = 0.55f;
+    m.specular = point.seen ? 0.35f : 0;
+    if (height > 1.5f) {
+        m.albedo = kStalk * (1 + 0.5f * tone);
+        return m;
+    }
+    Vec3f colour = mix(of.foot, of.leaf, smooth(0.0f, 0.5f, height));
+    colour = mix(colour, of.tip, smooth(0.45f, 1.0f, height));
+    colour *= 1 + 0.22f * tone;
+    const Vec3f tint = state_->tint[hit.tuft];
+    colour = {colour.x * tint.x, colour.y * tint.y, colour.z * tint.z};
+    if (height > 1.1f) colour = kHair;
+    for (int i = 0; i < 3; ++i) colour[i] = std::clamp(colour[i], 0.006f, 0.7f);
+    m.albedo = colour;
+    m.transmit = colour * of.transmit;
+    return m;
+}
+
+std::size_t Tufts::memory_bytes() const
+{
+    return static_cast<std::size_t>(std::max<std::int64_t>(0, state_->bytes.load()));
+}
+
+std::size_t Tufts::triangles() const
+{
+    return state_->triangles;
+}
+
+}  // namespace sekitei::render
