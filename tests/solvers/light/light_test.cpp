@@ -253,6 +253,67 @@ TEST(Light, OfALanternFollowsEverySunPosition)
     for (const double a : annual) ASSERT_LT(std::abs(a), 5);
 }
 
+/// Sites at the middles of a mesh's faces.
+Probes faces_of(const TriMesh& mesh, double offset)
+{
+    Probes probes;
+    for (const auto& t : mesh.triangles) {
+        const Vec3d a(mesh.vertices[t[0]]), b(mesh.vertices[t[1]]), c(mesh.vertices[t[2]]);
+        const Vec3d across = cross(b - a, c - a);
+        probes.add((a + b + c) / 3.0 + normalized(across) * offset, across);
+        probes.area.back() = static_cast<float>(length(across) / 2);
+    }
+    return probes;
+}
+
+TEST(Light, IsTheSameOnCellsAndOnFaces)
+{
+    auto bumps = [](Vec3d p) {
+        return 0.06 * std::sin(9 * p.x) * std::sin(8 * p.y + 1) * std::sin(7 * p.z + 2);
+    };
+    for (const double roughness : {0.0, 1.0}) {
+        const double voxel = 0.06;
+        const Domain box{{21, 22, 21}, {{-0.61, -0.63, -0.1}, voxel}};
+        const lantern::Body body(
+            level_set_from_function(box,
+                                    [&](Vec3d p) {
+                                        const Vec3d q = box.transform.world(p) - Vec3d(0, 0, 0.52);
+                                        return (length(q) - 0.5 + roughness * bumps(q)) / voxel;
+                                    },
+                                    {}, {.steepness = 3}),
+            box);
+        const Sites cells{body.origins, body.cells.normal, body.cells.area};
+        // Marching tetrahedra look at the level set's inside as the higher side: turn its faces.
+        const Probes faces = faces_of(shapes::inverted(body.mesh), 0.25 * voxel);
+        const Coefficients a = traced(cells, {body.mesh}), b = traced(faces, {body.mesh});
+        // The faces within each cell.
+        std::vector<std::vector<std::size_t>> within(cells.size());
+        parallel_for(cells.size(), [&](std::size_t i) {
+            for (std::size_t k = 0; k < faces.origin.size(); ++k) {
+                const Vec3d way = faces.origin[k] - body.origins[i];
+                if (std::max({std::abs(way.x), std::abs(way.y), std::abs(way.z)}) < 0.6 * voxel)
+                    within[i].push_back(k);
+            }
+        });
+        double apart = 0, sum = 0;
+        for (const Day& d : {day_of(2023, 6, 21), day_of(2023, 9, 23), day_of(2023, 12, 21)}) {
+            const Light on_cells = day(a, cells, d.moments, d.radiation);
+            const Light on_faces = day(b, faces, d.moments, d.radiation);
+            for (std::size_t i = 0; i < cells.size(); ++i) {
+                ASSERT_FALSE(within[i].empty());
+                double light = 0, area = 0;
+                for (const std::size_t k : within[i]) {
+                    light += double(on_faces.total[k]) * double(faces.area[k]);
+                    area += double(faces.area[k]);
+                }
+                apart += std::abs(light / area - double(on_cells.total[i]));
+                sum += double(on_cells.total[i]);
+            }
+        }
+        EXPECT_LT(apart / sum, 0.02) << roughness;
+    }
+}
+
 TEST(Light, MirrorsBetweenTheHemispheres)
 {
     auto mirrored = [](Vec3d v) { return Vec3d(v.x, -v.y, v.z); };
