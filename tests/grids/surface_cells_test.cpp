@@ -178,8 +178,9 @@ TEST(SurfaceCells, ComeBackFromTheirGrids)
     EXPECT_EQ(again.neighbour, cells.neighbour);
     std::vector<float> flat(cells.area);
     flat[3] = 0;
-    EXPECT_THAT([&] { surface_cells(surface, cells.to_grid(cells.normal), cells.to_grid(flat), {}); },
-                ThrowsMessage<InvalidInput>(HasSubstr("has the area 0 m^2")));
+    EXPECT_THAT(
+        [&] { surface_cells(surface, cells.to_grid(cells.normal), cells.to_grid(flat), {}); },
+        ThrowsMessage<InvalidInput>(HasSubstr("has the area 0 m^2")));
 }
 
 TEST(SurfaceCells, LeaveOutWhatIsOnlyCutByTheBox)
