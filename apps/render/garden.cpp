@@ -7,6 +7,8 @@
 
 #include "core/error.h"
 #include "core/noise.h"
+#include "core/parallel.h"
+#include "solvers/rays/embree.h"
 
 namespace sekitei::render {
 namespace {
@@ -99,6 +101,42 @@ TriMesh joined(const std::vector<Piece>& pieces)
     if (all.triangles.empty())
         throw InvalidInput("render: the meshes have no triangles, must have at least one");
     return all;
+}
+
+void lay_mats(std::vector<Tuft>& moss, const std::vector<std::string>& species, double size,
+              const TriMesh& mesh, const rays::TriangleScene& rays)
+{
+    parallel_for(
+        moss.size(),
+        [&](std::size_t i) {
+            Tuft& t = moss[i];
+            const auto number = static_cast<std::size_t>(t.species) - 1;  // huge where below 1
+            if (number >= species.size() || species[number] != "hypnum") return;
+            // Where the plant points now: q (0, 1, 0) q^-1.
+            const double x = t.orient[0], y = t.orient[1], z = t.orient[2], w = t.orient[3];
+            const Vec3d up = normalized(
+                Vec3d(2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)));
+            const double reach = size * static_cast<double>(t.scale);
+            if (!(reach > 0 && std::isfinite(reach) && dot(up, up) > 0.5)) return;
+            rays::Hit hit;
+            if (!rays.intersect(Vec3f(t.position + up * reach), Vec3f(-up), 0,
+                                static_cast<float>(2 * reach), hit))
+                return;
+            const auto& corner = mesh.triangles[hit.triangle];
+            const Vec3d a(mesh.vertices[corner[0]]);
+            Vec3d normal = normalized(
+                cross(Vec3d(mesh.vertices[corner[1]]) - a, Vec3d(mesh.vertices[corner[2]]) - a));
+            if (dot(normal, up) < 0) normal = -normal;
+            // The shortest turn from one to the other, then what was there.
+            const Vec3d v = cross(up, normal);
+            const double c = 1 + dot(up, normal);
+            if (!(c > 0.2)) return;
+            t.orient = {static_cast<float>(c * x + v.x * w + v.y * z - v.z * y),
+                        static_cast<float>(c * y + v.y * w + v.z * x - v.x * z),
+                        static_cast<float>(c * z + v.z * w + v.x * y - v.y * x),
+                        static_cast<float>(c * w - v.x * x - v.y * y - v.z * z)};
+        },
+        256);
 }
 
 GardenLook::GardenLook(const std::vector<Piece>& pieces, std::uint64_t seed,

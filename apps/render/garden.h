@@ -6,11 +6,20 @@
 #include "apps/render/look.h"
 #include "apps/render/render.h"
 
+namespace sekitei::rays {
+class TriangleScene;
+}
+
 namespace sekitei::render {
 
 /// All pieces in one mesh, without attributes: what rays meet.
 /// @throws InvalidInput  no triangles, an index out of range
 TriMesh joined(const std::vector<Piece>& pieces);
+
+/// Lays plants of hypnum, whose mats follow the stone they creep over, flat onto the triangle under
+/// or before their foot, if one is nearer than `size` [m]; their yaw stays.
+void lay_mats(std::vector<Tuft>& moss, const std::vector<std::string>& species, double size,
+              const TriMesh& mesh, const rays::TriangleScene& rays);
 
 /// Substances of the pieces of joined(). Rock keeps the columns and surfaces its mesh knows; the
 /// ground is that of the first rock.

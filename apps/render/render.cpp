@@ -297,7 +297,9 @@ Image8 run(const Stuff& stuff, const Params& params, std::uint64_t seed, const P
     const rays::TriangleScene rays(mesh.vertices, mesh.triangles, "render", progress);
     const std::vector<Vec3f> normals = corner_normals(mesh, kCrease, progress);
     const GardenLook look(stuff.pieces, seed, progress);
-    const Tufts tufts(stuff.moss, stuff.species, stuff.moss_size, seed, progress);
+    std::vector<Tuft> moss = stuff.moss;
+    lay_mats(moss, stuff.species, stuff.moss_size, mesh, rays);
+    const Tufts tufts(moss, stuff.species, stuff.moss_size, seed, progress);
     const Sky sky = Sky::day(direction_of(params.sun_azimuth, params.sun_elevation),
                              params.sun_size / 2 * kDegree, params.turbidity, !params.ground);
     World world{.mesh = mesh,

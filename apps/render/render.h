@@ -105,6 +105,7 @@ struct Stuff {
     double moss_size =
         0.03;  ///< diameter of a plant of scale 1 [m]; 1.6 surface cells closes a mat
     /// Names of species 1, 2, ...: each of these four looks its own way, others as plain cushions.
+    /// Mats of hypnum are laid flat onto the mesh, wherever `orient` points.
     std::vector<std::string> species{"bryum", "hypnum", "polytrichum", "grimmia"};
 };
 

@@ -174,11 +174,11 @@ TuftShape cushion(Gardener& g, int shoots, double dome, double leaf_length, bool
 /// Creeping stems with branches like feathers, over each other.
 TuftShape mat(Gardener& g, bool capsules)
 {
-    g.core(0.44, 0.085);
+    g.core(0.44, 0.065);
     // The mat's height over its middle and down to its edge, which lies on the stone.
     auto lie = [](Vec3d p) {
         const double r2 = p.x * p.x + p.z * p.z;
-        return 0.15 - 0.35 * r2 - 1.6 * r2 * r2;
+        return 0.12 - 0.35 * r2 - 1.3 * r2 * r2;
     };
     constexpr int kStems = 24;
     for (int i = 0; i < kStems; ++i) {

@@ -305,6 +305,43 @@ TEST(Garden, AThinLeafPassesLightOnFromBehind)
     EXPECT_NEAR(leaf_light(below), 0.2 * 2 * 0.8 / math::kPi, 0.003);
 }
 
+TEST(Garden, MatsLieFlatOnTheStoneAndCushionsStandAsTheyAre)
+{
+    // A slope of 30 degrees: normal (-1/2, 0, sqrt(3)/2).
+    TriMesh slope = plane(2, 0);
+    for (Vec3f& v : slope.vertices) v.z = 0.5773503f * v.x;
+    const rays::TriangleScene rays(slope.vertices, slope.triangles, "test");
+    Tuft t;
+    t.position = Vec3d(0.6, 0.3, 0.6 * 0.5773503);
+    auto axis = [](const Tuft& plant, Vec3d of) {
+        const Vec3d q(Vec3f(plant.orient[0], plant.orient[1], plant.orient[2]));
+        const auto w = static_cast<double>(plant.orient[3]);
+        const double norm = dot(q, q) + w * w;
+        return of + cross(q, cross(q, of) + of * w) * (2.0 / norm);
+    };
+    for (const double yaw : {0.0, 1.0, 4.0})
+        for (const std::int32_t species : {1, 2}) {
+            t.orient = upright(yaw);
+            t.species = species;
+            std::vector<Tuft> moss{t};
+            lay_mats(moss, kSpecies, 0.03, slope, rays);
+            const Vec3d up = axis(moss[0], {0, 1, 0}), side = axis(moss[0], {1, 0, 0});
+            const Vec3d wanted =
+                species == 2 ? Vec3d(-0.5, 0, std::sqrt(0.75)) : axis(t, {0, 1, 0});
+            EXPECT_LT(length(up - wanted), 1e-6) << yaw;
+            // It turned no more than it had to.
+            EXPECT_NEAR(
+                dot(side, axis(t, {1, 0, 0})),
+                species == 2 ? 1 - (1 - std::sqrt(0.75)) * std::pow(axis(t, {1, 0, 0}).x, 2) : 1,
+                1e-6);
+        }
+    t.species = 2;
+    t.position.z += 1;  // nothing near
+    std::vector<Tuft> moss{t};
+    lay_mats(moss, kSpecies, 0.03, slope, rays);
+    EXPECT_EQ(moss[0].orient, t.orient);
+}
+
 TEST(Garden, PlantsComeFromPoints)
 {
     Points points;
