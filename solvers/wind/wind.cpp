@@ -25,7 +25,7 @@ constexpr double kReferenceSpeed = 3, kReferenceSpacing = 0.5;  // of settle and
 constexpr Vec3d kGarden{24, 16, 8};
 constexpr double kPlace = 14.0 / 24;  // of the object along the garden
 constexpr double kGardenRadius = 2;   // of the largest object that the usual garden is for [m]
-constexpr double kBytesPerParticle = 900, kBytesPerCell = 260;  // measured
+constexpr double kBytesPerParticle = 2700, kBytesPerCell = 350;  // of the usual garden, measured
 
 /// The least multiple of `step` that is not less than x.
 double round_up(double x, double step)
@@ -271,8 +271,8 @@ Plan plan(const Inputs& inputs, const Params& params)
     // The garden grows with objects that its usual probe could not hold.
     double radius = 0;
     for (const Vec3d& cell : inputs.cells)
-        radius =
-            std::max(radius, length(Vec3d(cell.x - found.axis.x, cell.y - found.axis.y, 0)) + half_voxel);
+        radius = std::max(
+            radius, length(Vec3d(cell.x - found.axis.x, cell.y - found.axis.y, 0)) + half_voxel);
     const double more = 2 * std::max(0.0, std::ceil(radius - kGardenRadius));
     found.garden_size = params.garden_size.value_or(
         kGarden + Vec3d(1.5 * more, more, std::max(0.0, std::ceil(2 * height - 4))));

@@ -75,7 +75,15 @@ TEST(GridWind, AMirroredSceneHasMirroredWind)
 {
     Simulation wind(Settings::air(kSpacing, 2.5), with_wall());
     Simulation other(Settings::air(kSpacing, 2.5), with_wall(2.5, true));
+    // Air comes into this box, behind the wall, from its sides.
+    Bounds box, mirrored;
+    box.add({1.9, 3.1, 0.5}), box.add({3.5, 4.5, 1.9});
+    mirrored.add({1.9, 5.7, 0.5}), mirrored.add({3.5, 4.3, 1.9});
+    wind.start_statistics({box}), other.start_statistics({mirrored});
     wind.run_until(4), other.run_until(4);
+    EXPECT_GT(wind.box_means(0).touch, 0.5);
+    EXPECT_NEAR(wind.box_means(0).touch, other.box_means(0).touch, 1e-4);
+    EXPECT_NEAR(wind.box_means(0).velocity.y, -other.box_means(0).velocity.y, 1e-4);
     const Coord n = wind.size();
     double sideways = 0;
     for (int i = 0; i < n.x; ++i)

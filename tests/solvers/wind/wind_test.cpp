@@ -300,6 +300,9 @@ TEST(Wind, AFencePondAndBushDoWhatTheyShould)
     EXPECT_EQ(r.tables.temperature, r.tables.humidity);
     ASSERT_EQ(r.tables.layers.size(), 3u);  // 0.9 m and a margin of 0.5 m
     EXPECT_GT(r.tables.layers[0][W], 4 * r.tables.layers[1][W]);
+    // What meets the fence at an angle goes along it.
+    EXPECT_GT(r.tables.direction[NE], 1.15 * M_PI / 4);
+    EXPECT_LT(r.tables.direction[NW], 6.85 * M_PI / 4);
     // Behind the fence the air comes back.
     EXPECT_EQ(r.arrival[N], S);
     EXPECT_EQ(r.arrival[W], W);
@@ -339,7 +342,7 @@ TEST(Wind, AnInterruptedRunEndsLikeAnotherOnAnyNumberOfThreads)
         const ThreadLimit limit(state.object[0] ? 3 : 1);
         int rest = 0;
         expect_same(run(garden.inputs(), params, {}, state, [&](const State&) { ++rest; }), whole);
-        EXPECT_LT(rest, saved);
+        EXPECT_EQ(rest, saved - (&state == &states[0] ? 3 : 10));
     }
     State other = states[1];
     for (auto& ratios : other.arrival) ratios.resize(ratios.size() / 2);
@@ -415,7 +418,7 @@ TEST(Wind, TheLanternsBoxesAreThePapers)
     EXPECT_LT(length(boxes.axis), 1e-9);
     EXPECT_EQ(boxes.garden_count, 48 * 32 * 16);
     EXPECT_TRUE(boxes.notes.empty());
-    EXPECT_LT(boxes.bytes, 100e6);
+    EXPECT_LT(boxes.bytes, 30e6);
 }
 
 TEST(Wind, ACliffGetsCoarserBoxesAndSaysSo)
