@@ -261,6 +261,35 @@ TEST(Garden, EachTriangleHasTheSubstanceOfItsPiece)
     }
 }
 
+TEST(Garden, PlantsThrowShadowsOnTheStone)
+{
+    const TriMesh mesh = plane(2, 0.7f);
+    const rays::TriangleScene rays(mesh.vertices, mesh.triangles, "test");
+    const std::vector<Vec3f> normals(6, Vec3f(0, 0, 1));
+    const PlainLook red(Vec3f(0.5f, 0.1f, 0.1f), Vec3f(0));
+    Sky sky = Sky::uniform(0, true);
+    sky.set_sun(normalized(Vec3d(1, 0.2, 0.5)), 0.004, Vec3f(2));
+    Tuft plant{Vec3d(0.15, 0.1, 0.7), upright(0), 1, 3};
+    const Tufts tufts({plant}, kSpecies, 0.1, 1);
+    World world{.mesh = mesh,
+                .rays = rays,
+                .normals = normals,
+                .look = red,
+                .sky = sky,
+                .camera = make_camera(small(), mesh.bounds())};
+    auto dark = [&] {  // pixels of stone alone without any sun
+        const Film film =
+            trace(world, {.width = 64, .height = 40, .samples = 4, .bounces = 0}, 1, {});
+        int count = 0;
+        for (std::size_t i = 0; i < film.radiance.size(); ++i)
+            count += film.albedo[i] == Vec3f(0.5f, 0.1f, 0.1f) && film.radiance[i].x == 0;
+        return count;
+    };
+    EXPECT_EQ(dark(), 0);
+    world.tufts = &tufts;
+    EXPECT_GT(dark(), 5);
+}
+
 /// Radiance of a level leaf over black ground, seen from above.
 double leaf_light(Vec3d sun)
 {
@@ -307,12 +336,12 @@ TEST(Garden, AThinLeafPassesLightOnFromBehind)
 
 TEST(Garden, MatsLieFlatOnTheStoneAndCushionsStandAsTheyAre)
 {
-    // A slope of 30 degrees: normal (-1/2, 0, sqrt(3)/2).
+    const Vec3d normal = normalized(Vec3d(-0.5, 0.3, 0.8));
     TriMesh slope = plane(2, 0);
-    for (Vec3f& v : slope.vertices) v.z = 0.5773503f * v.x;
+    for (Vec3f& v : slope.vertices) v.z = (0.5f * v.x - 0.3f * v.y) / 0.8f;
     const rays::TriangleScene rays(slope.vertices, slope.triangles, "test");
     Tuft t;
-    t.position = Vec3d(0.6, 0.3, 0.6 * 0.5773503);
+    t.position = Vec3d(0.6, 0.3, (0.5 * 0.6 - 0.3 * 0.3) / 0.8);
     auto axis = [](const Tuft& plant, Vec3d of) {
         const Vec3d q(Vec3f(plant.orient[0], plant.orient[1], plant.orient[2]));
         const auto w = static_cast<double>(plant.orient[3]);
@@ -326,14 +355,13 @@ TEST(Garden, MatsLieFlatOnTheStoneAndCushionsStandAsTheyAre)
             std::vector<Tuft> moss{t};
             lay_mats(moss, kSpecies, 0.03, slope, rays);
             const Vec3d up = axis(moss[0], {0, 1, 0}), side = axis(moss[0], {1, 0, 0});
-            const Vec3d wanted =
-                species == 2 ? Vec3d(-0.5, 0, std::sqrt(0.75)) : axis(t, {0, 1, 0});
-            EXPECT_LT(length(up - wanted), 1e-6) << yaw;
-            // It turned no more than it had to.
-            EXPECT_NEAR(
-                dot(side, axis(t, {1, 0, 0})),
-                species == 2 ? 1 - (1 - std::sqrt(0.75)) * std::pow(axis(t, {1, 0, 0}).x, 2) : 1,
-                1e-6);
+            const Vec3d old_up = axis(t, {0, 1, 0}), old_side = axis(t, {1, 0, 0});
+            EXPECT_LT(length(up - (species == 2 ? normal : old_up)), 1e-6) << yaw;
+            // It turned no more than it had to: about the axis across both directions.
+            const Vec3d about = normalized(cross(old_up, normal));
+            const double cosine = species == 2 ? dot(old_up, normal) : 1;
+            EXPECT_NEAR(dot(side, old_side),
+                        cosine + (1 - cosine) * std::pow(dot(old_side, about), 2), 1e-6);
         }
     t.species = 2;
     t.position.z += 1;  // nothing near
