@@ -1,10 +1,12 @@
 #include "solvers/moss/landing.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <limits>
 
 #include "core/error.h"
+#include "core/parallel.h"
 
 namespace sekitei::moss {
 namespace {
@@ -43,6 +45,19 @@ CellLanding::CellLanding(const FloatGrid& surface, const SurfaceCells& cells)
         lower_ = min(lower_, o);
         upper_ = max(upper_, o + Coord(kLeafEdge));
     }
+    solid_.resize(surface.leaf_count());
+    index_leaf_.resize(surface.leaf_count());
+    parallel_for(
+        surface.leaf_count(),
+        [&](std::size_t leaf) {
+            index_leaf_[leaf] = cells.index.topology()->find(surface.origin(leaf));
+            const float* v = surface.values(leaf);
+            if (!v && surface.constant(leaf) < 0) solid_[leaf] = LeafMask::full();
+            if (!v) return;
+            for (int o = 0; o < kLeafSize; ++o)
+                if (v[o] < 0) solid_[leaf].set(o);
+        },
+        64);
 }
 
 double CellLanding::reach() const
@@ -61,10 +76,32 @@ std::int32_t CellLanding::land_one(const Flight& seed, double adhesion) const
     const Vec3d at = surface_->transform().voxels(seed.at);
     for (int axis = 0; axis < 3; ++axis)
         if (!(std::abs(at[axis]) < kFar)) return kLost;
-    const double distance = double(GridReader<float>(*surface_).sample(at));
+    const double distance = sample(at);
     if (std::abs(distance) <= adhesion) return nearest(at);
     if (distance < 0) return kLost;
     return seed.fall.x == 0 && seed.fall.y == 0 ? drop(voxel_of(at)) : drift(at, seed.fall);
+}
+
+/// GridReader::sample(), the same bits; most points have their eight voxels in one leaf, which is
+/// then looked up once.
+double CellLanding::sample(Vec3d p) const
+{
+    const Vec3d u = p - Vec3d(0.5);
+    const Coord c = voxel_of(u);
+    if ((c.x & 7) == 7 || (c.y & 7) == 7 || (c.z & 7) == 7)
+        return double(GridReader<float>(*surface_).sample(p));
+    const std::uint32_t leaf = surface_->topology()->find(leaf_origin(c));
+    if (leaf == kNoLeaf) return double(surface_->background());
+    const float* v = surface_->values(leaf);
+    if (!v) return double(surface_->constant(leaf));
+    v += leaf_offset(c);
+    auto mix = [](float a, float b, double t) {
+        return a * static_cast<float>(1 - t) + b * static_cast<float>(t);
+    };
+    const Vec3d f = u - Vec3d(c);
+    const float near = mix(mix(v[0], v[1], f.z), mix(v[8], v[9], f.z), f.y);
+    const float far = mix(mix(v[64], v[65], f.z), mix(v[72], v[73], f.z), f.y);
+    return double(mix(near, far, f.x));
 }
 
 /// The cell whose centre is nearest to `at`, looked for in growing cubes.
@@ -95,26 +132,39 @@ std::int32_t CellLanding::nearest(Vec3d at) const
     return best;
 }
 
-/// Straight down a column; a column of a leaf is contiguous.
+/// The number of the cell at a voxel of a leaf of the surface, or kLost.
+std::int32_t CellLanding::cell(std::size_t leaf, int offset) const
+{
+    const std::uint32_t index = index_leaf_[leaf];
+    return index == kNoLeaf ? kLost : cells_->index.at(index, offset);
+}
+
+/// Straight down. Leaves are sorted by x, y, z: the one before, if in the same column, is the next
+/// below, however wide the gap. A leaf's column is one byte of its mask.
 std::int32_t CellLanding::drop(Coord c) const
 {
-    if (c.x < lower_.x || c.x >= upper_.x || c.y < lower_.y || c.y >= upper_.y) return kLost;
-    c.z = std::min(c.z, upper_.z - 1);
-    if (surface_->value(c) < 0) return nearest(centre_of(c));  // a seed at a sharp edge
-    while (c.z >= lower_.z) {
-        const Coord origin = leaf_origin(c);
-        const std::uint32_t leaf = surface_->topology()->find(origin);
-        if (leaf != kNoLeaf) {
-            if (const float* v = surface_->values(leaf)) {
-                const float* column = v + leaf_offset({c.x, c.y, 0});
-                for (int z = c.z - origin.z; z >= 0; --z)
-                    if (column[z] < 0) return cells_->index.value({c.x, c.y, origin.z + z});
-            } else if (surface_->constant(leaf) < 0)
-                return cells_->index.value(c);
-        }
-        c.z = origin.z - 1;
+    const std::vector<Coord>& origins = surface_->topology()->origins();
+    const Coord origin = leaf_origin(c);
+    std::size_t leaf = surface_->topology()->find(origin);
+    if (leaf == kNoLeaf) {
+        const auto above = std::ranges::upper_bound(origins, origin);
+        if (above == origins.begin()) return kLost;
+        leaf = static_cast<std::size_t>(above - origins.begin()) - 1;
+    } else if (solid_[leaf].test(leaf_offset(c)))
+        return nearest(centre_of(c));  // a seed at a sharp edge
+    const int word = c.x & 7, shift = 8 * (c.y & 7);
+    for (;; --leaf) {
+        const Coord o = origins[leaf];
+        if (o.x != origin.x || o.y != origin.y) return kLost;
+        auto column =
+            static_cast<unsigned>(solid_[leaf].words[static_cast<std::size_t>(word)] >> shift) &
+            0xFFu;
+        if (o.z == origin.z) column &= (2u << (c.z & 7)) - 1;
+        if (column)
+            return cell(leaf,
+                        leaf_offset({c.x, c.y, static_cast<int>(std::bit_width(column)) - 1}));
+        if (leaf == 0) return kLost;
     }
-    return kLost;
 }
 
 /// Along a slanted way: face by face through the voxels of leaves near the surface, in one step
@@ -141,7 +191,7 @@ std::int32_t CellLanding::drift(Vec3d from, Vec3d way) const
         c = voxel_of(at);
         c.z = upper_.z - 1;
     }
-    if (surface_->value(c) < 0) return nearest(centre_of(c));
+    if (surface_->value(c) < 0) return nearest(centre_of(c));  // a seed at a sharp edge
     auto gone = [&] {
         if (c.z < lower_.z) return true;
         for (int k = 0; k < 2; ++k)
@@ -152,13 +202,11 @@ std::int32_t CellLanding::drift(Vec3d from, Vec3d way) const
     while (!gone()) {
         const Coord origin = leaf_origin(c);
         const std::uint32_t leaf = surface_->topology()->find(origin);
-        const float* values = leaf == kNoLeaf ? nullptr : surface_->values(leaf);
-        if (!values && leaf != kNoLeaf && surface_->constant(leaf) < 0)
-            return cells_->index.value(c);
         int axis = 2;
-        if (values) {
+        if (leaf != kNoLeaf && !solid_[leaf].none()) {
             while (leaf_origin(c) == origin) {
-                if (values[leaf_offset(c)] < 0) return cells_->index.value(c);
+                const int offset = leaf_offset(c);
+                if (solid_[leaf].test(offset)) return cell(leaf, offset);
                 exit(Vec3d(c), Vec3d(c + Coord(1)), axis);
                 c[axis] += way[axis] > 0 ? 1 : -1;
             }

@@ -25,13 +25,17 @@ public:
 
 private:
     std::int32_t land_one(const Flight& seed, double adhesion) const;
+    double sample(Vec3d voxels) const;
     std::int32_t nearest(Vec3d at) const;
+    std::int32_t cell(std::size_t leaf, int offset) const;
     std::int32_t drop(Coord from) const;
     std::int32_t drift(Vec3d from, Vec3d way) const;
 
     const FloatGrid* surface_;
     const SurfaceCells* cells_;
-    Coord lower_, upper_;  // of all leaves
+    Coord lower_, upper_;                    // of all leaves
+    std::vector<LeafMask> solid_;            // sdf < 0, of each leaf
+    std::vector<std::uint32_t> index_leaf_;  // of cells_->index at each leaf
 };
 
 }  // namespace sekitei::moss

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <cstdlib>
 #include <functional>
 #include <string>
 #include <vector>
@@ -37,9 +38,12 @@ struct Case {
 
 }  // namespace
 
-int main()
+/// Arguments: width and depth in cells; 310 290.
+int main(int argc, char** argv)
 {
-    const Domain box{{310, 290, 90}, {{1, 2, 3}, 0.02}};
+    const int width = argc > 2 ? std::atoi(argv[1]) : 310,
+              depth = argc > 2 ? std::atoi(argv[2]) : 290;
+    const Domain box{{width, depth, 40 + width / 6}, {{1, 2, 3}, 0.02}};
     const FloatGrid level_set = level_set_from_function(
         box,
         [](Vec3d p) {

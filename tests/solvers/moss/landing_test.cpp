@@ -116,7 +116,7 @@ TEST(MossLanding, DriftingSeedsAgreeWithSmallSteps)
     for (const auto& [name, shape] : shapes_by_name()) {
         const Ground g({33, 37, 31}, shape);
         int corners = 0, found = 0;
-        for (std::uint64_t i = 0; i < 400; ++i) {
+        for (std::uint64_t i = 0; i < 150; ++i) {
             const Vec3d p{33 * uniform01(4, Stream("x"), i), 37 * uniform01(4, Stream("y"), i),
                           45 * uniform01(4, Stream("z"), i)};
             const Vec3d at = g.box.transform.world(p);
@@ -128,7 +128,7 @@ TEST(MossLanding, DriftingSeedsAgreeWithSmallSteps)
             found += site != kLost;
         }
         EXPECT_LE(corners, 2) << name;  // small steps may jump over a corner of a voxel
-        EXPECT_GT(found, 50) << name;
+        EXPECT_GT(found, 20) << name;
     }
 }
 
@@ -202,6 +202,23 @@ TEST(MossLanding, CrossesEmptySpaceOfAnyDepth)
     EXPECT_EQ(height({0.2, 0.2, -5}), -9) << "below everything";
     EXPECT_EQ(height({1e30, 0.2, 3}), -9);
     EXPECT_EQ(height({std::nan(""), 0.2, 3}), -9);
+}
+
+TEST(MossLanding, AWholeLeafOfStoneIsLandedOn)
+{
+    // Distances cut at half a voxel: every leaf is constant.
+    FloatGrid block(LeafTopology::build({{8, 0, -8}}), {{0.7, 0.2, 0}, 0.04}, 0.02F);
+    block.set_constant(0, -0.02F);
+    const SurfaceCells cells = surface_cells(block, {});
+    ASSERT_EQ(cells.size(), 8u * 8 * 8 - 6 * 6 * 6);
+    const CellLanding landing(block, cells);
+    for (const double slope : {0.0, 0.2}) {
+        const std::int32_t site =
+            landed(landing, block.transform().world({11.4, 2.5, 7.3}), 0.001, {slope, slope, -1});
+        const int over = slope > 0 ? 1 : 0;
+        EXPECT_EQ(site, cells.index.value({11 + over, 2 + over, -1}));
+    }
+    EXPECT_EQ(landed(landing, block.transform().world({7.4, 2.5, 7.3}), 0.001), kLost);
 }
 
 TEST(MossLanding, CellsOfAnotherLevelSetAreRefused)
