@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "core/parallel.h"
+#include "solvers/wind/clones.h"
 
 namespace sekitei::wind::grid {
 namespace {
@@ -13,8 +14,6 @@ constexpr std::size_t kDirect = 120;  // largest coarsest level
 // Roots of the Chebyshev polynomial of degree two over the upper three quarters of the spectrum.
 constexpr float kFirst = 0.562f, kSecond = 1.389f;
 constexpr int kLanes = 8;
-
-#define SEKITEI_CLONES __attribute__((target_clones("avx2", "default")))
 
 /// b - A x of a row.
 inline float residual(const float* tx, const float* ty, const float* tz, const float* d,

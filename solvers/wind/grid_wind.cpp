@@ -9,14 +9,13 @@
 #include "core/math.h"
 #include "core/parallel.h"
 #include "solvers/wind/air.h"
+#include "solvers/wind/clones.h"
 
 namespace sekitei::wind::grid {
 namespace {
 
 constexpr double kSmallestTimeStep = 1e-6;  // [s]
 constexpr double kLeastOutflow = 0.2;       // of U0: with what air comes back in at the end
-
-#define SEKITEI_CLONES __attribute__((target_clones("avx2", "default")))
 
 int whole(double length, double spacing, const char* name)
 {

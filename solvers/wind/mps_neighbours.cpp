@@ -7,9 +7,8 @@
 
 #include "core/error.h"
 #include "core/parallel.h"
+#include "solvers/wind/clones.h"
 #include "solvers/wind/mps_kernel.h"
-
-#define SEKITEI_WIDE __attribute__((target_clones("avx2", "default")))
 
 namespace sekitei::wind::mps {
 
@@ -71,9 +70,9 @@ std::vector<std::uint32_t> Cells::sort(const Positions& positions)
 namespace {
 
 /// Writes the indices in [begin, end) within the radius to `out`, past its end of interest too.
-SEKITEI_WIDE std::size_t select_near(const double* x, const double* y, const double* z, Vec3d p,
-                                     double radius_squared, std::size_t begin, std::size_t end,
-                                     std::uint32_t* out)
+SEKITEI_CLONES std::size_t select_near(const double* x, const double* y, const double* z, Vec3d p,
+                                       double radius_squared, std::size_t begin, std::size_t end,
+                                       std::uint32_t* out)
 {
     constexpr std::size_t kBlock = 64;
     double squared[kBlock];
