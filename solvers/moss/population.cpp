@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cassert>
 #include <cmath>
 #include <tuple>
 
@@ -254,6 +255,7 @@ private:
             for (std::size_t j = 0; j < seeds.size(); ++j) {
                 if (site[j] < 0) continue;
                 seeds[j].site = static_cast<std::uint32_t>(site[j]);
+                assert(seeds[j].site < p_.size());
                 if (may_stay(seeds[j])) f.candidates.push_back(seeds[j]);
             }
             flights.clear();
