@@ -1,9 +1,11 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <string_view>
 #include <vector>
 
@@ -39,6 +41,10 @@ struct Weather {
 
 /// What to do when a day is missing.
 enum class WeatherFill { Error, Interpolate };
+constexpr std::array<std::string_view, 2> choice_names(WeatherFill)
+{
+    return {"error", "interpolate"};
+}
 
 /// Reads JMA daily CSV (Shift_JIS or UTF-8), EPW (hourly, averaged), own CSV with units in the
 /// header, or own CSV of monthly normals, chosen by content; data/weather/README.md shows our own.

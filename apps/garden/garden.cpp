@@ -12,42 +12,82 @@
 namespace sekitei::garden {
 namespace {
 
-constexpr double kObstacleVoxel = 0.05, kAirVoxel = 0.25;  // [m]
+constexpr double kObstacleVoxel = 0.05, kAirVoxel = 0.25, kWaterVoxel = 0.125;  // [m]
 
-/// A tree as wind and light meet it: a trunk and an ellipsoid of leaves.
+/// Part of a crown: an ellipsoid of leaves.
+struct Lump {
+    Vec3d centre;
+    double radius, height;
+
+    bool contains(Vec3d p) const
+    {
+        const Vec3d d = p - centre;
+        const double h = d.z / (height / 2);
+        return (d.x * d.x + d.y * d.y) / (radius * radius) + h * h < 1;
+    }
+};
+
+/// A tree as wind and light meet it.
 struct Tree {
     Vec3d foot;
-    double trunk_radius, crown_radius, crown_height, crown_centre;
-
-    /// < 1 inside the crown.
-    double crown(Vec3d p) const
-    {
-        const Vec3d d = p - foot;
-        const double h = (d.z - crown_centre) / (crown_height / 2);
-        return (d.x * d.x + d.y * d.y) / (crown_radius * crown_radius) + h * h;
-    }
+    double trunk_radius, trunk_height;
+    std::vector<Lump> crown;
 };
 
 /// Trees stand beyond the pond from the east over the south to the west.
 std::vector<Tree> trees(double distance, std::uint64_t seed)
 {
     constexpr Stream kShape("garden tree");
-    constexpr int kCount = 8;
+    constexpr int kCount = 9, kLumps = 7;
     std::vector<Tree> list;
     for (int i = 0; i < kCount; ++i) {
         auto draw = [&, n = 0u](double low, double high) mutable {
             return low + (high - low) * uniform01(seed, kShape, std::uint64_t(i), n++);
         };
         // Azimuths from 70 (east-north-east) to 290 degrees, clockwise from north.
-        const double azimuth = (70 + 220 * (i + draw(0.25, 0.75)) / kCount) * math::kPi / 180;
-        const double away = distance + draw(0.8, 2.2);
-        list.push_back({{away * math::sin(azimuth), away * math::cos(azimuth), 0},
-                        draw(0.10, 0.16),
-                        draw(1.1, 1.7),
-                        draw(2.0, 3.0),
-                        draw(2.6, 3.4)});
+        const double azimuth = (70 + 220 * (i + draw(0.2, 0.8)) / kCount) * math::kPi / 180;
+        const double away = distance + draw(0.8, 3.0);
+        Tree tree{{away * math::sin(azimuth), away * math::cos(azimuth), 0},
+                  draw(0.08, 0.13),
+                  draw(2.0, 2.8),
+                  {}};
+        const double spread = draw(0.7, 1.1);
+        for (int k = 0; k < kLumps; ++k) {
+            const double angle = 2 * math::kPi * (k + draw(0, 0.7)) / (kLumps - 1);
+            const double out = k == 0 ? 0 : spread * draw(0.7, 1.1);
+            const double rise = k == 0 ? draw(0.9, 1.3) : draw(-0.2, 0.7);
+            tree.crown.push_back({tree.foot + Vec3d(out * math::cos(angle), out * math::sin(angle),
+                                                    tree.trunk_height + rise),
+                                  draw(0.55, 0.95), draw(0.8, 1.3)});
+        }
+        list.push_back(std::move(tree));
     }
     return list;
+}
+
+/// A tapering trunk with twelve sides.
+TriMesh trunk(const Tree& tree)
+{
+    constexpr std::uint32_t kSides = 12;
+    TriMesh mesh;
+    for (const bool top : {false, true})
+        for (std::uint32_t k = 0; k < kSides; ++k) {
+            const double angle = 2 * math::kPi * k / kSides;
+            const double r = tree.trunk_radius * (top ? 0.6 : 1.15);
+            mesh.vertices.push_back(
+                Vec3f(tree.foot + Vec3d(r * math::cos(angle), r * math::sin(angle),
+                                        top ? tree.trunk_height + 0.8 : -0.3)));
+        }
+    for (std::uint32_t k = 0; k < kSides; ++k) {
+        const std::uint32_t n = (k + 1) % kSides;
+        mesh.triangles.push_back({k, n, kSides + n});
+        mesh.triangles.push_back({k, kSides + n, kSides + k});
+        if (k > 0 && n != 0) {
+            mesh.triangles.push_back({0, n, k});
+            mesh.triangles.push_back({kSides, kSides + k, kSides + n});
+        }
+    }
+    return mesh;
 }
 
 template <class T, class F>
@@ -75,39 +115,40 @@ LeafGrid<T> grid_of(const Transform& transform, Vec3d lower, Vec3d upper, T back
 /// Water up to z = 0 where `inside` says so.
 IntGrid water(const std::function<bool(double, double)>& inside, double reach)
 {
-    const Transform transform{{}, kAirVoxel};
+    const Transform transform{{}, kWaterVoxel};
     return grid_of<std::int32_t>(
-        transform, {-reach, -reach, -kAirVoxel}, {reach, reach, 0}, 0, [&](Coord c) {
+        transform, {-reach, -reach, -kWaterVoxel}, {reach, reach, 0}, 0, [&](Coord c) {
             const Vec3d w = transform.world(centre_of(c));
             return c.z == -1 && inside(w.x, w.y) ? 1 : 0;
         });
 }
 
-/// Square clusters of leaves, even in the crown's outer half where leaves get light.
+/// Square clusters of leaves, most of them near the crown's skin where leaves get light.
 Points leaves_of(const std::vector<Tree>& list, std::uint64_t seed)
 {
     constexpr Stream kLeaf("garden leaf");
-    constexpr int kLeaves = 1800;
+    constexpr std::uint64_t kLeaves = 800;  // of a lump
     Points points;
     std::vector<Vec3f> normals;
     std::vector<float> sizes;
-    for (std::size_t t = 0; t < list.size(); ++t)
-        for (std::uint64_t k = 0; k < kLeaves; ++k) {
-            auto draw = [&](std::uint64_t n) {
-                return uniform01(seed, kLeaf, t * kLeaves + k, n);
-            };
-            const double z = 2 * draw(0) - 1, angle = 2 * math::kPi * draw(1);
-            const double flat = std::sqrt(1 - z * z);
-            const Vec3d way{flat * math::cos(angle), flat * math::sin(angle), z};
-            const double depth = 0.55 + 0.45 * std::sqrt(draw(2));
-            points.position.push_back(list[t].foot + Vec3d(0, 0, list[t].crown_centre) +
-                                      Vec3d(way.x * list[t].crown_radius * depth,
-                                            way.y * list[t].crown_radius * depth,
-                                            way.z * list[t].crown_height / 2 * depth));
-            const Vec3d tilt{draw(3) - 0.5, draw(4) - 0.5, 0.7};
-            normals.push_back(Vec3f(tilt / length(tilt)));
-            sizes.push_back(float(0.05 + 0.05 * draw(5)));
-        }
+    std::uint64_t id = 0;
+    for (const Tree& tree : list)
+        for (const Lump& lump : tree.crown)
+            for (std::uint64_t k = 0; k < kLeaves; ++k, ++id) {
+                auto draw = [&](std::uint64_t n) { return uniform01(seed, kLeaf, id, n); };
+                const double z = 2 * draw(0) - 1, angle = 2 * math::kPi * draw(1);
+                const double flat = std::sqrt(1 - z * z);
+                const Vec3d way{flat * math::cos(angle), flat * math::sin(angle), z};
+                const double depth = 0.5 + 0.55 * std::sqrt(draw(2));
+                points.position.push_back(lump.centre +
+                                          Vec3d(way.x * lump.radius * depth,
+                                                way.y * lump.radius * depth,
+                                                way.z * lump.height / 2 * depth));
+                const Vec3d tilt = way * 0.5 + Vec3d(1.4 * (draw(3) - 0.5), 1.4 * (draw(4) - 0.5),
+                                                     0.3 + 0.6 * draw(6));
+                normals.push_back(Vec3f(tilt / length(tilt)));
+                sizes.push_back(float(0.022 + 0.028 * draw(5)));
+            }
     points.attributes["N"] = std::move(normals);
     points.attributes["pscale"] = std::move(sizes);
     points.stage = "lantern";
@@ -125,13 +166,14 @@ Scene make(const Params& p, std::uint64_t seed, const Progress& progress)
 {
     Scene scene;
     const double v = p.cell;
+    // The box begins at the ground: below it the base goes on and has no cells.
     // A quarter of a cell apart from the lantern's planes, most of which lie on multiples of 1 cm:
     // a plane through cell centres would be inside or outside by rounding.
     const Transform transform{
         {-v * std::ceil(kLanternRadius / v + 6) - v / 4,
-         -v * std::ceil(kLanternRadius / v + 6) - v / 4, -v * 10.25},
+         -v * std::ceil(kLanternRadius / v + 6) - v / 4, -v / 4},
         v};
-    const double width = 2 * (kLanternRadius / v + 6), height = kLanternHeight / v + 18;
+    const double width = 2 * (kLanternRadius / v + 6), height = kLanternHeight / v + 6;
     scene.domain = {{int(std::ceil(width)) + 1, int(std::ceil(width)) + 1, int(std::ceil(height))},
                     transform};
     scene.put("surface_sdf",
@@ -152,11 +194,10 @@ Scene make(const Params& p, std::uint64_t seed, const Progress& progress)
         const std::vector<Tree> grove = trees(reach, seed);
         double outer = 0;
         for (const Tree& tree : grove) {
-            const double r = tree.trunk_radius;
-            append(obstacles, box(tree.foot + Vec3d(-r, -r, -0.3),
-                                  tree.foot + Vec3d(r, r, tree.crown_centre)));
-            outer = std::max({outer, std::abs(tree.foot.x) + tree.crown_radius,
-                              std::abs(tree.foot.y) + tree.crown_radius});
+            append(obstacles, trunk(tree));
+            for (const Lump& lump : tree.crown)
+                outer = std::max({outer, std::abs(lump.centre.x) + lump.radius,
+                                  std::abs(lump.centre.y) + lump.radius});
         }
         const Transform air{{}, kAirVoxel};
         scene.put("canopy_RU",
@@ -164,7 +205,8 @@ Scene make(const Params& p, std::uint64_t seed, const Progress& progress)
                                  [&](Coord c) {
                                      const Vec3d w = air.world(centre_of(c));
                                      for (const Tree& tree : grove)
-                                         if (tree.crown(w) < 1) return float(p.canopy_drag);
+                                         for (const Lump& lump : tree.crown)
+                                             if (lump.contains(w)) return float(p.canopy_drag);
                                      return 0.0f;
                                  }),
                   "1/m", "lantern", GridClass::FogVolume);
