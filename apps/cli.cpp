@@ -135,7 +135,7 @@ struct Command {
     std::vector<std::string> files, set, only;
     std::map<std::string, std::string> words;  // parameters of a stage
     std::map<std::string, bool> flags;
-    std::string stage, shell, text;
+    std::string stage, shell, text, at;
     bool dry_run = false, full = false, markdown = false;
     std::string tolerance = "0";
     std::function<int(const Common&)> run;
@@ -159,7 +159,8 @@ void add_stage_command(CLI::App& program, Commands& commands, const StageInfo& i
     if (info.reads_scene)
         c.app
             ->add_option("scene", c.files,
-                         info.output == OutputKind::Picture
+                         info.reads_many ? "scenes to read (.vdb)"
+                         : info.output == OutputKind::Picture
                              ? "scene (.vdb) or mesh to look at, - for standard input"
                              : "scene to read (.vdb), - for standard input")
             ->type_name("FILE")
@@ -204,10 +205,9 @@ void add_tool_commands(CLI::App& program, Commands& commands)
     };
     {
         Command& c = add("run");
-        c.app->add_option("recipe", c.files, "recipe (.toml)")
+        c.app->add_option("recipe", c.files, "recipes (.toml), run one after the other")
             ->type_name("FILE")
-            ->required()
-            ->expected(1);
+            ->required();
         c.app->add_option("--set", c.set, "override a key: joint.spacing=30cm; may be repeated")
             ->type_name("KEY=VALUE")
             ->allow_extra_args(false);
@@ -224,7 +224,7 @@ void add_tool_commands(CLI::App& program, Commands& commands)
         c.run = [&c](const Common& common) {
             std::vector<std::string> overrides = c.set;
             if (c.common.seed) overrides.push_back("seed=" + *c.common.seed);
-            return command_run(c.files.at(0), overrides, {c.only.begin(), c.only.end()}, c.dry_run,
+            return command_run(c.files, overrides, {c.only.begin(), c.only.end()}, c.dry_run,
                                common);
         };
     }
@@ -269,6 +269,18 @@ void add_tool_commands(CLI::App& program, Commands& commands)
                 throw InvalidParameter(fmt::format("--tolerance {}: must be >= 0", c.tolerance));
             return command_diff(c.files.at(0), c.files.at(1), tolerance, common);
         };
+    }
+    {
+        Command& c = add("explain");
+        c.app->add_option("file", c.files, "scene (.vdb) with a climate")
+            ->type_name("FILE")
+            ->required()
+            ->expected(1);
+        c.app->add_option("--at", c.at, "point whose nearest surface cell is meant: x,y,z")
+            ->type_name("POINT")
+            ->required()
+            ->allow_extra_args(false);
+        c.run = [&c](const Common& common) { return command_explain(c.files.at(0), c.at, common); };
     }
     {
         Command& c = add("verify");

@@ -154,8 +154,16 @@ toml::table parse(const std::string& text, const std::filesystem::path& file)
 const std::vector<std::string>& extensions_of(OutputKind kind)
 {
     static const std::vector<std::string> kScene{".vdb"},
-        kMesh{".ply", ".obj", ".stl", ".off", ".glb", ".vdb"}, kPicture{".png"};
-    return kind == OutputKind::Scene ? kScene : kind == OutputKind::Mesh ? kMesh : kPicture;
+        kMesh{".ply", ".obj", ".stl", ".off", ".glb", ".vdb"}, kPicture{".png"}, kTable{".csv"},
+        kPoints{".ply"};
+    switch (kind) {
+        case OutputKind::Mesh: return kMesh;
+        case OutputKind::Picture: return kPicture;
+        case OutputKind::Table: return kTable;
+        case OutputKind::Points: return kPoints;
+        case OutputKind::Scene: break;
+    }
+    return kScene;
 }
 
 /// What a user wrote for a stage, before links between stages are known.
@@ -293,10 +301,15 @@ void check_supplies(const std::vector<Draft>& drafts, const std::vector<std::siz
     for (const std::size_t i : order) {
         const RecipeStage& stage = drafts[i].stage;
         std::set<std::string>& here = visible[stage.name];
+        const bool many = stage.process->info().reads_many;
         for (const std::string& parent : drafts[i].from)
             here.insert(visible[parent].begin(), visible[parent].end());
         for (const std::string& need : stage.process->needs()) {
-            if (here.contains(need)) continue;
+            const bool there =
+                many ? std::all_of(drafts[i].from.begin(), drafts[i].from.end(),
+                                   [&](const auto& parent) { return visible[parent].contains(need); })
+                     : here.contains(need);
+            if (there) continue;
             std::string maker;
             for (const StageInfo& info : stage_infos())
                 for (const std::string& made : info.makes)
@@ -307,7 +320,8 @@ void check_supplies(const std::vector<Draft>& drafts, const std::vector<std::siz
                     "{}: needs '{}', which no stage it reads makes{}", stage.name, need,
                     maker.empty() ? "" : fmt::format("; add a `{}` stage before it", maker)));
         }
-        for (const std::string& made : stage.process->info().makes) here.insert(made);
+        if (many) here.clear();
+        for (const std::string& made : stage.process->makes()) here.insert(made);
     }
 }
 

@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <fstream>
 #include <map>
 
 #include "apps/console.h"
@@ -65,6 +66,15 @@ Bounds bounds_from(const Json& j)
     Bounds b;
     for (const Json& corner : j) b.add(Vec3d(corner[0], corner[1], corner[2]));
     return b;
+}
+
+/// Whether a PLY file is a mesh: its header speaks of faces.
+bool has_faces(const fs::path& path)
+{
+    std::ifstream file(path);
+    for (std::string line; std::getline(file, line) && line != "end_header";)
+        if (line.starts_with("element face")) return true;
+    return false;
 }
 
 /// Exclusive use of an output folder while it lives.
@@ -235,6 +245,7 @@ private:
     Items inherited(std::size_t i) const
     {
         Items items;
+        if (stage(i).process->info().reads_many) return items;  // each parent stays by itself
         for (const std::size_t parent : stage(i).from)
             for (const auto& [name, item] : visible_[parent]) {
                 const auto [old, is_new] = items.emplace(name, item);
@@ -273,19 +284,41 @@ private:
         return entries;
     }
 
+    /// What stage i reads of these items.
+    std::vector<std::string> reads(std::size_t i, const Items& items) const
+    {
+        std::vector<std::string> names = stage(i).process->needs();
+        for (const std::string& name : stage(i).process->uses())
+            if (items.contains(name)) names.push_back(name);
+        return names;
+    }
+
     /// What the key of stage i is made of. Parameters that an ancestor's history sets (the lava's
     /// preset) count too.
     Json ingredients(std::size_t i, const Items& items) const
     {
         Json inputs = Json::object();
-        for (const std::string& need : stage(i).process->needs())
-            if (const auto found = items.find(need); found != items.end())
-                inputs[need] = found->second.hash;
+        if (stage(i).process->info().reads_many) {
+            for (const std::size_t parent : stage(i).from)
+                for (const std::string& name : reads(i, visible_[parent]))
+                    if (const auto found = visible_[parent].find(name);
+                        found != visible_[parent].end())
+                        inputs[stage(parent).name + "/" + name] = found->second.hash;
+        } else
+            for (const std::string& name : reads(i, items))
+                if (const auto found = items.find(name); found != items.end())
+                    inputs[name] = found->second.hash;
         Json preset = nullptr;
         for (const std::size_t k : ancestors(i))
             if (stage(k).process->info().name == "lava")
                 preset = params_json(stage(k).process->params())["preset"];
+        Json recalled = Json::object();
+        for (const std::size_t k : ancestors(i))
+            for (const std::string& name : stage(i).process->info().recalls)
+                if (stage(k).process->info().name == name)
+                    recalled[name] = params_json(stage(k).process->params());
         return {{"cache", kCacheVersion},
+                {"recalled", recalled},
                 {"stage", stage(i).process->info().name},
                 {"version", stage(i).process->info().version},
                 {"params", params_json(stage(i).process->params())},
@@ -301,7 +334,10 @@ private:
     }
     static const char* extension(OutputKind kind)
     {
-        return kind == OutputKind::Scene ? ".vdb" : kind == OutputKind::Mesh ? ".ply" : ".png";
+        return kind == OutputKind::Scene     ? ".vdb"
+               : kind == OutputKind::Mesh || kind == OutputKind::Points ? ".ply"
+               : kind == OutputKind::Picture ? ".png"
+                                             : ".csv";
     }
     fs::path result_path(std::size_t i, const std::string& key) const
     {
@@ -352,6 +388,10 @@ private:
             if (!last["inputs"].contains(name) || last["inputs"][name] != value)
                 return fmt::format("its input {} changed", name);
         if (last["preset"] != now["preset"]) return "the lava's preset changed";
+        for (const auto& [name, params] : now["recalled"].items())
+            for (const auto& [key, value] : params.items())
+                if (last["recalled"][name][key] != value)
+                    return fmt::format("{}.{} changed to {}", name, key, value.dump());
         return "its kept result is gone";
     }
 
@@ -390,8 +430,9 @@ private:
             will_run_.insert(i);
             outlines_[i] = outline;
             Items items;
-            for (const std::size_t parent : stage(i).from)
-                items.insert(visible_[parent].begin(), visible_[parent].end());
+            if (!stage(i).process->info().reads_many)
+                for (const std::size_t parent : stage(i).from)
+                    items.insert(visible_[parent].begin(), visible_[parent].end());
             visible_[i] = std::move(items);
         } else {
             Items items = inherited(i);
@@ -420,11 +461,17 @@ private:
     {
         const double start = seconds_now();
         Items items = inherited(i);
-        for (const std::string& need : stage(i).process->needs())
-            if (!items.contains(need))
-                throw InvalidInput(
-                    fmt::format("{}: {} needs '{}', which the stages before it did not make",
-                                stage(i).place, stage(i).name, need));
+        auto require = [&](const Items& there) {
+            for (const std::string& need : stage(i).process->needs())
+                if (!there.contains(need))
+                    throw InvalidInput(
+                        fmt::format("{}: {} needs '{}', which the stages before it did not make",
+                                    stage(i).place, stage(i).name, need));
+        };
+        if (stage(i).process->info().reads_many)
+            for (const std::size_t parent : stage(i).from) require(visible_[parent]);
+        else
+            require(items);
         const Json now = ingredients(i, items);
         const std::string key = key_of(now);
         std::string reason;
@@ -468,8 +515,12 @@ private:
                    double start)
     {
         Stage& process = *stage(i).process;
-        for (const std::string& name : process.info().makes) drop(name);
-        for (const std::string& need : process.needs()) load(need, items.at(need));
+        for (const std::string& name : process.makes()) drop(name);
+        for (const std::string& name : reads(i, items))
+            if (!process.info().reads_many) load(name, items.at(name));
+        // What an optional input would be must not be there from another branch of the recipe.
+        for (const std::string& name : process.uses())
+            if (!items.contains(name)) drop(name);
         const SceneOutline outline = inherited_outline(i);
         scene_.domain = outline.domain;
         scene_.heat_domain = outline.heat_domain;
@@ -480,7 +531,17 @@ private:
 
         StageContext c = context(i);
         c.checkpoint = cache_ / fmt::format("{}-{}.checkpoint", stage(i).name, key.substr(0, 16));
-        const Json summary = process.run(scene_, c);
+        // A sequence goes beside the scene that the stage writes.
+        const auto scene_file =
+            std::find_if(stage(i).write.begin(), stage(i).write.end(),
+                         [](const std::string& name) { return name.ends_with(".vdb"); });
+        if (scene_file != stage(i).write.end())
+            c.frame = [&](int number, const Scene& frame) {
+                write_vdb(frame_path(recipe_.out / *scene_file, number), frame, {},
+                          c.progress.slice(1, 1));
+            };
+        const Json summary =
+            process.info().reads_many ? process.run_many(parents_of(i), c) : process.run(scene_, c);
         clear_progress_line();
 
         // Keep the result: the file first, the record that vouches for it last.
@@ -489,6 +550,9 @@ private:
         std::map<std::string, std::string> outputs;
         if (process.info().output == OutputKind::Picture)
             write_png(result, process.picture);
+        else if (process.info().output == OutputKind::Table ||
+                 process.info().output == OutputKind::Points)
+            write_file(result, process.table);
         else if (process.info().output == OutputKind::Mesh) {
             const TriMesh& mesh = scene_.meshes.at("rock");
             const std::string bytes = encode_mesh(mesh, ".ply", keeping);
@@ -498,17 +562,17 @@ private:
             Scene part;
             part.domain = scene_.domain;
             part.heat_domain = scene_.heat_domain;
-            for (const std::string& name : process.info().makes) move_item(name, scene_, part);
+            for (const std::string& name : process.makes()) move_item(name, scene_, part);
             try {
                 for (const auto& [name, grid] : part.grids)
                     outputs[name] = content_hash(grid, keeping);
                 for (const auto& [name, points] : part.points) outputs[name] = content_hash(points);
                 write_vdb(result, part, {}, keeping);
             } catch (...) {
-                for (const std::string& name : process.info().makes) move_item(name, part, scene_);
+                for (const std::string& name : process.makes()) move_item(name, part, scene_);
                 throw;
             }
-            for (const std::string& name : process.info().makes) move_item(name, part, scene_);
+            for (const std::string& name : process.makes()) move_item(name, part, scene_);
         }
         clear_progress_line();
         for (const auto& [name, hash] : outputs) in_memory_[name] = hash;
@@ -533,6 +597,25 @@ private:
         write_file(record_path(i, key), record.json.dump(1));
         adopt(i, std::move(items), record);
         return record;
+    }
+
+    /// One scene for each stage that stage i reads, with what i asks of it.
+    std::vector<std::pair<std::string, Scene>> parents_of(std::size_t i)
+    {
+        std::vector<std::pair<std::string, Scene>> scenes;
+        for (const std::size_t parent : stage(i).from) {
+            Scene scene;
+            scene.domain = outlines_[parent].domain;
+            scene.heat_domain = outlines_[parent].heat_domain;
+            scene.history = history(parent);
+            for (const std::string& name : reads(i, visible_[parent])) {
+                load(name, visible_[parent].at(name));
+                move_item(name, scene_, scene);
+                in_memory_.erase(name);
+            }
+            scenes.emplace_back(stage(parent).name, std::move(scene));
+        }
+        return scenes;
     }
 
     static void move_item(const std::string& name, Scene& from, Scene& to)
@@ -582,6 +665,7 @@ private:
         for (std::size_t k = i + 1; k < recipe_.stages.size(); ++k) {
             if (!selected_[k]) continue;
             for (const std::string& need : stage(k).process->needs()) wanted.insert(need);
+            for (const std::string& name : stage(k).process->uses()) wanted.insert(name);
             for (const std::string& name : stage(k).write)
                 whole_scene = whole_scene || fs::path(name).extension() == ".vdb";
         }
@@ -633,7 +717,8 @@ private:
         const OutputKind kind = stage(i).process->info().output;
         const std::string suffix = target.extension().string();
         const Progress writing = context(i).progress.named("writing");
-        if (kind == OutputKind::Picture ||
+        if (kind == OutputKind::Picture || kind == OutputKind::Table ||
+            kind == OutputKind::Points ||
             (kind == OutputKind::Mesh && suffix == ".ply")) {  // the kept result itself
             write_file(target,
                        read_file(result_path(i, records_[i].json["key"]), 1ull << 36, writing),
@@ -733,7 +818,7 @@ private:
         for (auto& [name, files] : older) {
             std::sort(files.begin(), files.end(), std::greater<>());
             for (std::size_t k = kKeptResults; k < files.size(); ++k)
-                for (const char* suffix : {".json", ".vdb", ".ply", ".png", ".checkpoint"}) {
+                for (const char* suffix : {".json", ".vdb", ".ply", ".png", ".csv", ".checkpoint"}) {
                     std::error_code error;
                     fs::remove(fs::path(files[k].second).replace_extension(suffix), error);
                 }
@@ -787,11 +872,14 @@ Json describe_output(const fs::path& path, const std::string& name, const std::s
         }
     } else if (suffix == ".png")
         entry["kind"] = "picture";
+    else if (suffix == ".csv")
+        entry["kind"] = "table";
     else {
-        entry["kind"] = "mesh";
+        const bool points = suffix == ".ply" && !has_faces(path);
+        entry["kind"] = points ? "points" : "mesh";
         entry["unit"] = "m";
         entry["up"] = suffix == ".glb" ? "y" : "z";
-        if (suffix == ".ply") {
+        if (suffix == ".ply" && !points) {
             const Bounds b =
                 bounds ? *bounds : decode_ply(read_file(path, 1ull << 36, progress), name).bounds();
             if (!b.empty()) entry["bounds_m"] = bounds_json(b);

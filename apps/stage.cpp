@@ -12,10 +12,17 @@ namespace sekitei::apps {
 namespace {
 
 using Factory = std::unique_ptr<Stage> (*)();
-constexpr Factory kFactories[] = {make_lava,    make_cool, make_joint,
-                                  make_weather, make_mesh, make_lantern, make_render};
+constexpr Factory kFactories[] = {make_lava,  make_cool, make_joint,      make_weather,
+                                  make_mesh,  make_lantern, make_light, make_wind, make_soil,
+                                  make_moss,  make_render,  make_statistics, make_plot,
+                                  make_compare, make_export};
 
 }  // namespace
+
+Json Stage::run_many(const std::vector<std::pair<std::string, Scene>>&, const StageContext&)
+{
+    throw Error(ExitCode::Bug, fmt::format("the stage '{}' reads one scene", info().name));
+}
 
 const std::vector<StageInfo>& stage_infos()
 {
@@ -56,6 +63,8 @@ Json input_hashes(Stage& stage, const StageContext& context)
         if (path.empty()) continue;
         hashes[path] = file_hash(Stage::resolve(context, path));
     }
+    for (const std::filesystem::path& path : stage.files())
+        hashes[path.string()] = file_hash(Stage::resolve(context, path));
     return hashes;
 }
 
@@ -86,6 +95,12 @@ InvalidInput named_after(const std::string& file, const InvalidInput& error)
     if (file.empty() || error.code() != ExitCode::BadInput || what.find(file) != std::string::npos)
         return error;
     return InvalidInput(file + ": " + what, error.code());
+}
+
+std::filesystem::path frame_path(const std::filesystem::path& file, int number)
+{
+    std::filesystem::path path = file;
+    return path.replace_extension(fmt::format(".{:04}{}", number, file.extension().string()));
 }
 
 void warn_unused(Stage& stage, const std::vector<std::string>& names, const std::string& why)

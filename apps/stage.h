@@ -4,6 +4,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "core/error.h"
@@ -16,7 +17,7 @@
 /// A process as users meet it: one command and one kind of recipe table.
 namespace sekitei::apps {
 
-enum class OutputKind { Scene, Mesh, Picture };
+enum class OutputKind { Scene, Mesh, Picture, Table, Points };
 
 struct StageInfo {
     std::string name;     ///< the command: "joint"
@@ -26,6 +27,9 @@ struct StageInfo {
     bool reads_scene = true;         ///< false: makes a scene from nothing
     std::vector<std::string> needs;  ///< grids, points or meshes it cannot do without
     std::vector<std::string> makes;  ///< grids, points or meshes it may put
+    bool reads_many = false;         ///< run_many() on one scene for each that it reads
+    /// Stages whose parameters it looks up in the scene's history.
+    std::vector<std::string> recalls{};
 };
 
 /// What a stage would need, found before anything is allocated.
@@ -49,6 +53,8 @@ struct StageContext {
     bool fix_nan = false;
     std::filesystem::path folder;      ///< relative paths in parameters start here
     std::filesystem::path checkpoint;  ///< file for a long stage's own state; empty = none
+    /// Takes one scene of a sequence and its number; empty where nobody asks for a sequence.
+    std::function<void(int number, const Scene& scene)> frame;
 };
 
 class Stage {
@@ -57,6 +63,12 @@ public:
     virtual const StageInfo& info() const = 0;
     /// What it reads of a scene with its present parameters.
     virtual std::vector<std::string> needs() { return info().needs; }
+    /// What it reads besides where it is there.
+    virtual std::vector<std::string> uses() { return {}; }
+    /// What it may put with its present parameters.
+    virtual std::vector<std::string> makes() { return info().makes; }
+    /// Files it reads besides those that path parameters name, as written.
+    virtual std::vector<std::filesystem::path> files() { return {}; }
     /// Bound to this object; set values through it.
     virtual ParamList params() = 0;
     /// @throws InvalidParameter
@@ -65,8 +77,13 @@ public:
     virtual Need estimate(SceneOutline& outline, const StageContext& context) = 0;
     /// Adds or replaces what it makes in `scene`; returns numbers worth a summary.
     virtual Json run(Scene& scene, const StageContext& context) = 0;
+    /// In place of run() where StageInfo::reads_many; scenes with the names of what made them.
+    virtual Json run_many(const std::vector<std::pair<std::string, Scene>>& scenes,
+                          const StageContext& context);
     /// Picture stages leave their result here.
     Image8 picture;
+    /// Table stages leave theirs here, as lines of comma-separated values; Points as PLY.
+    std::string table;
 
     /// Absolute form of a path parameter.
     static std::filesystem::path resolve(const StageContext& context,
@@ -94,6 +111,9 @@ void log_mesh_report(const std::filesystem::path& file, const MeshReadReport& re
 
 /// What a file is to blame for begins with its name; the name is not repeated.
 InvalidInput named_after(const std::string& file, const InvalidInput& error);
+
+/// The file of one scene of a sequence: "moss.vdb" and 30 give "moss.0030.vdb".
+std::filesystem::path frame_path(const std::filesystem::path& file, int number);
 
 /// Warns of each of these parameters whose value is not the default although nothing reads it now.
 /// @param why  "with cut = none"

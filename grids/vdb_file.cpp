@@ -585,12 +585,14 @@ Grid read_grid(std::string_view bytes, const Header& header, const Entry& entry,
 /// The grids to read, each with the name it gets.
 std::vector<std::pair<std::string, const Entry*>> choose(const Header& header,
                                                          const std::string& file,
-                                                         const std::set<std::string>& only)
+                                                         const ReadOptions& options)
 {
+    const std::set<std::string>& only = options.only;
     std::vector<std::pair<std::string, const Entry*>> chosen;
     for (const Entry& entry : header.grids) {
         const std::string name = entry.name.empty() ? "unnamed" : entry.name;
-        if (only.empty() || only.contains(entry.shown) || only.contains(name))
+        if (only.empty() || only.contains(entry.shown) || only.contains(name) ||
+            options.if_there.contains(name))
             chosen.emplace_back(name, &entry);
     }
     auto shown = [&](auto&& keep) {
@@ -632,7 +634,7 @@ Scene read_bytes(std::string_view bytes, const std::string& file, const ReadOpti
 
     const double allowed = options.memory_limit > 0 ? options.memory_limit : physical_memory();
     Budget budget{allowed - static_cast<double>(bytes.size())};
-    const auto chosen = choose(header, file, options.only);
+    const auto chosen = choose(header, file, options);
     double step = 0;
     for (const auto& [name, entry] : chosen) {
         progress.update(step++ / static_cast<double>(chosen.size()));

@@ -28,7 +28,7 @@ using Words = std::vector<std::pair<std::string, std::string>>;
 // Each returns its exit code; failures are thrown.
 int command_stage(const std::string& stage, const std::vector<std::string>& inputs,
                   const Words& words, const Common& common);
-int command_run(const std::string& recipe, const std::vector<std::string>& overrides,
+int command_run(const std::vector<std::string>& recipes, const std::vector<std::string>& overrides,
                 const std::set<std::string>& only, bool dry_run, const Common& common);
 int command_check(const std::vector<std::string>& recipes,
                   const std::vector<std::string>& overrides, const Common& common);
@@ -37,6 +37,8 @@ int command_replay(const std::string& file, bool every_value);
 int command_diff(const std::string& a, const std::string& b, double tolerance,
                  const Common& common);
 int command_verify(const std::vector<std::string>& files, const Common& common);
+/// @param at  "x,y,z" [m]; the nearest surface cell is explained
+int command_explain(const std::string& file, const std::string& at, const Common& common);
 int command_schema(const std::string& stage, bool markdown);
 int command_completions(const std::string& shell);
 

@@ -19,6 +19,7 @@ const std::vector<CommandInfo>& tool_commands()
         {"info", "say what a scene or mesh holds and how it was made"},
         {"replay", "print a recipe that makes a scene again"},
         {"diff", "compare two scenes or meshes"},
+        {"explain", "say why a moss does or does not grow at one cell of a surface"},
         {"verify", "compare files with their recorded hashes"},
         {"schema", "describe all stages for programs, or as a reference page"},
         {"completions", "print a completion script for bash, zsh or fish"},

@@ -1,3 +1,5 @@
+#include <fmt/format.h>
+
 #include <chrono>
 
 #include "apps/commands/commands.h"
@@ -8,11 +10,12 @@
 
 namespace sekitei::apps {
 
-int command_run(const std::string& file, const std::vector<std::string>& overrides,
-                const std::set<std::string>& only, bool dry_run, const Common& common)
+namespace {
+
+Json run_one(const Recipe& recipe, const std::set<std::string>& only, bool dry_run,
+             const Common& common)
 {
     const auto start = std::chrono::steady_clock::now();
-    const Recipe recipe = read_recipe(file, overrides);
     RunOptions options;
     options.only = only;
     options.dry_run = dry_run;
@@ -34,7 +37,29 @@ int command_run(const std::string& file, const std::vector<std::string>& overrid
             log::info("wrote {}", (recipe.out / output["path"].get<std::string>()).string());
         log::info("wrote {} ({})", (recipe.out / "manifest.json").string(), duration_text(seconds));
     }
-    if (common.json) print(summary.dump(2) + "\n");
+    return summary;
+}
+
+}  // namespace
+
+int command_run(const std::vector<std::string>& files, const std::vector<std::string>& overrides,
+                const std::set<std::string>& only, bool dry_run, const Common& common)
+{
+    // A mistake in the last recipe is told before the first one runs.
+    std::vector<Recipe> recipes;
+    for (const std::string& file : files) {
+        recipes.push_back(read_recipe(file, overrides));
+        for (std::size_t k = 0; k + 1 < recipes.size(); ++k)
+            if (recipes[k].out.lexically_normal() == recipes.back().out.lexically_normal())
+                throw InvalidParameter(fmt::format("{} and {} both write into {}", files[k], file,
+                                                   recipes[k].out.string()));
+    }
+    Json summaries = Json::array();
+    for (std::size_t k = 0; k < recipes.size(); ++k) {
+        if (recipes.size() > 1) log::info("{}", files[k]);
+        summaries.push_back(run_one(recipes[k], only, dry_run, common));
+    }
+    if (common.json) print((recipes.size() == 1 ? summaries[0] : summaries).dump(2) + "\n");
     return 0;
 }
 

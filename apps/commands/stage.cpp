@@ -56,18 +56,23 @@ void check_outputs(const StageInfo& info, const Common& common)
     for (const std::string& name : common.output) {
         if (name == "-") {
             if (common.json) throw InvalidParameter("--json and -o - both want standard output");
-            if (info.output != OutputKind::Picture && ::isatty(STDOUT_FILENO))
+            if ((info.output == OutputKind::Scene || info.output == OutputKind::Mesh) &&
+                ::isatty(STDOUT_FILENO))
                 throw InvalidParameter(
                     "-o - writes binary data: pipe it into another command or a file");
             continue;
         }
         const std::string suffix = fs::path(name).extension().string();
         const bool fits = info.output == OutputKind::Picture ? suffix == ".png"
+                          : info.output == OutputKind::Table ? suffix == ".csv"
+                          : info.output == OutputKind::Points ? suffix == ".ply"
                           : info.output == OutputKind::Mesh ? is_mesh_name(name) || suffix == ".vdb"
                                                             : suffix == ".vdb";
         if (!fits)
             throw InvalidParameter(fmt::format("-o {}: `{}` writes {}", name, info.name,
                                                info.output == OutputKind::Picture ? ".png"
+                                               : info.output == OutputKind::Table ? ".csv"
+                                               : info.output == OutputKind::Points ? ".ply"
                                                : info.output == OutputKind::Mesh
                                                    ? ".ply, .obj, .stl, .off, .glb or .vdb"
                                                    : ".vdb"));
@@ -97,6 +102,7 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common,
     if (stage.info().output != OutputKind::Scene && !passed_on) {
         // Nothing is passed on, so only what is needed is loaded.
         for (const std::string& need : stage.needs()) options.only.insert(need);
+        for (const std::string& extra : stage.uses()) options.if_there.insert(extra);
         options.keep_foreign = false;
     }
     if (stage.info().output == OutputKind::Mesh && !options.only.empty()) {
@@ -112,6 +118,20 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common,
             });
         }
     }
+    // A picture of a scene file: its surface is extracted on the way.
+    const bool picture_of_surface =
+        stage.info().output == OutputKind::Picture && options.only.contains("rock");
+    auto surface_stage = [](bool density) {
+        auto mesh_stage = make_stage("mesh");
+        if (!density) find_param(mesh_stage->params(), "grid")->set("surface_sdf");
+        return mesh_stage;
+    };
+    auto with_surface = [&](Scene scene) {
+        StageContext context;
+        context.progress = console_progress("mesh");
+        surface_stage(scene.has("density"))->run(scene, context);
+        return scene;
+    };
     auto as_mesh = [&](TriMesh mesh) {
         Scene scene;
         scene.meshes["rock"] = std::move(mesh);
@@ -127,7 +147,12 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common,
                     "standard input is empty; expected a scene from another command");
             got += static_cast<std::size_t>(n);
         }
-        if (start != "ply") return read_vdb_stream(STDIN_FILENO, options, start, progress);
+        if (start != "ply") {
+            if (!picture_of_surface)
+                return read_vdb_stream(STDIN_FILENO, options, start, progress);
+            options.only.clear();
+            return with_surface(read_vdb_stream(STDIN_FILENO, options, start, progress));
+        }
         std::string bytes = start;
         char block[1 << 16];
         for (ssize_t n; (n = ::read(STDIN_FILENO, block, sizeof block)) > 0;)
@@ -145,17 +170,13 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common,
         log_mesh_report(name, report);
         return as_mesh(std::move(mesh));
     }
-    Scene scene;
-    if (stage.info().output == OutputKind::Picture && options.only.contains("rock")) {
-        // A picture of a scene file: extract its surface on the way.
-        auto mesh_stage = make_stage("mesh");
+    if (picture_of_surface) {
+        std::set<std::string> present;
+        for (const VdbGridInfo& grid : inspect_vdb(name).grids) present.insert(grid.name);
         options.only.clear();
-        for (const std::string& need : mesh_stage->needs()) options.only.insert(need);
-        scene = read_vdb(name, options, progress);
-        StageContext context;
-        context.progress = console_progress("mesh");
-        mesh_stage->run(scene, context);
-        return scene;
+        for (const std::string& need : surface_stage(present.contains("density"))->needs())
+            options.only.insert(need);
+        return with_surface(read_vdb(name, options, progress));
     }
     return read_vdb(name, options, progress);
 }
@@ -181,6 +202,13 @@ void write_result(Stage& stage, const Scene& scene, const std::string& name,
                 write_to_stdout(encode_png(stage.picture), progress);
             else
                 write_png(name, stage.picture);
+            return;
+        case OutputKind::Table:
+        case OutputKind::Points:
+            if (name == "-")
+                write_to_stdout(stage.table, progress);
+            else
+                write_file(name, stage.table);
             return;
         case OutputKind::Mesh:
             if (name == "-")
@@ -221,7 +249,7 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
     if (!inputs.empty() && !stage->info().reads_scene)
         throw InvalidParameter(
             fmt::format("{}: reads no scene, but '{}' was given", name, inputs.front()));
-    if (inputs.size() > 1)
+    if (inputs.size() > 1 && !stage->info().reads_many)
         throw InvalidParameter(
             fmt::format("{}: reads one scene, but '{}' was given as well", name, inputs[1]));
     check_outputs(stage->info(), common);
@@ -233,22 +261,43 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
     context.fix_nan = common.fix_nan;
     context.folder = ".";
     Scene scene;
-    if (!inputs.empty())
+    std::vector<std::pair<std::string, Scene>> scenes;
+    if (stage->info().reads_many)
+        for (const std::string& input : inputs)
+            scenes.emplace_back(fs::path(input).stem().string(),
+                                read_input(*stage, input, common,
+                                           context.progress.named("reading")));
+    else if (!inputs.empty())
         scene = read_input(*stage, inputs.front(), common, context.progress.named("reading"));
     for (const fs::path& target : targets_of(stage->info(), common))
         if (target != "-")
             remove_stale_temporaries(target.has_parent_path() ? target.parent_path() : ".");
     const HistoryEntry entry = history_of(*stage, context);
+    if (stage->info().output == OutputKind::Scene && common.output.front() != "-")
+        context.frame = [&](int number, const Scene& frame) {
+            const fs::path file = frame_path(common.output.front(), number);
+            check_target(file);
+            if (!common.force && fs::exists(file))
+                throw InvalidParameter(
+                    fmt::format("{} exists; replace it with --force", file.string()));
+            Scene numbered = frame;
+            numbered.history.push_back(entry);
+            write_vdb(file, numbered, {}, context.progress.slice(1, 1));
+        };
+    std::set<std::string> read;
+    for (const std::string& used : stage->needs()) read.insert(used);
+    for (const std::string& used : stage->uses()) read.insert(used);
     for (const std::string& made :
-         stage->info().makes) {  // replaced, or gone if not made this time
-        if (stage->info().output != OutputKind::Scene)
+         stage->makes()) {  // replaced, or gone if not made this time
+        if (stage->info().output != OutputKind::Scene || read.contains(made))
             continue;  // a grid called like the mesh is something else
         scene.grids.erase(made);
         scene.points.erase(made);
     }
     const Json summary = [&] {
         try {
-            return stage->run(scene, context);
+            return stage->info().reads_many ? stage->run_many(scenes, context)
+                                            : stage->run(scene, context);
         } catch (const InvalidInput& error) {
             if (inputs.empty() || inputs.front() == "-") throw;
             throw named_after(inputs.front(), error);

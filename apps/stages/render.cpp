@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "apps/habitat.h"
+#include "apps/stages/scenery.h"
 #include "apps/stages/stages.h"
 #include "core/error.h"
 
@@ -31,6 +33,19 @@ struct SliceChoice {
     }
 };
 
+/// What is shown besides the rock.
+struct Scenery {
+    bool moss = true;
+    std::optional<double> tuft_size;
+
+    static void describe(auto&& field)
+    {
+        field("moss", &Scenery::moss, "mosses of the scene as plants");
+        field("tuft_size", &Scenery::tuft_size, "m", kPositive,
+              "diameter of a full-grown moss; auto: 1.6 surface cells");
+    }
+};
+
 class RenderStage : public Stage {
 public:
     const StageInfo& info() const override
@@ -41,7 +56,9 @@ public:
                                      OutputKind::Picture,
                                      true,
                                      {"rock"},
-                                     {}};
+                                     {},
+                                     false,
+                                     {"moss", "lantern"}};
         return kInfo;
     }
 
@@ -49,10 +66,19 @@ public:
     {
         return {choice_.slice.empty() ? std::string("rock") : choice_.slice};
     }
+    std::vector<std::string> uses() override
+    {
+        if (!choice_.slice.empty()) return {};
+        std::vector<std::string> names = scenery_uses();
+        if (scenery_.moss) names.push_back("moss");
+        if (!params_.field.empty()) names.push_back(grid_of_field(params_.field));
+        return names;
+    }
 
     ParamList params() override
     {
         ParamList list = describe_params(params_);
+        for (Param& p : describe_params(scenery_)) list.push_back(std::move(p));
         for (Param& p : describe_params(choice_)) list.push_back(std::move(p));
         return list;
     }
@@ -89,12 +115,48 @@ public:
                     "render: the scene has no mesh; run `sekitei mesh` first or give --slice GRID");
             check_memory("render", memory(double(mesh->second.triangles.size())),
                          context.memory_limit);
-            picture = render::run(mesh->second, params_, context.seed, context.progress);
+            show(scene, mesh->second, context);
         }
         return {{"width", picture.width}, {"height", picture.height}};
     }
 
 private:
+    void show(const Scene& scene, const TriMesh& rock, const StageContext& context)
+    {
+        render::Params params = params_;
+        const bool climate = scene.has("surf_area");
+        if ((climate || params_of(scene, "lantern")) && !params.ground_height &&
+            scene.domain.dims.z > 0)
+            params.ground_height = scene.domain.transform.origin.z;
+        const std::string grid = grid_of_field(params.field);
+        if (!params.field.empty() && scene.has(grid)) {
+            const TriMesh painted = with_field(rock, scene, grid);
+            params.field = grid;
+            picture = render::run(painted, params, context.seed, context.progress);
+            return;
+        }
+        const double ground = params.ground_height.value_or(double(rock.bounds().lower.z));
+        const TriMesh wood = obstacle_mesh(scene), water = water_mesh(scene, ground),
+                      foliage = leaf_mesh(scene);
+        render::Stuff stuff;
+        stuff.pieces.push_back({&rock, render::Substance::Rock});
+        if (!wood.triangles.empty()) stuff.pieces.push_back({&wood, render::Substance::Wood});
+        if (!water.triangles.empty()) stuff.pieces.push_back({&water, render::Substance::Water});
+        if (!foliage.triangles.empty())
+            stuff.pieces.push_back({&foliage, render::Substance::Foliage});
+        if (scenery_.moss && scene.points.contains("moss")) {
+            stuff.moss = render::tufts_of(scene.points.at("moss"));
+            for (render::Tuft& tuft : stuff.moss) ++tuft.species;  // points count from 0
+            if (const std::vector<std::string> names = species_names(scene); !names.empty())
+                stuff.species = names;
+            if (climate) stuff.moss_size = 1.6 * scene.floats("surf_area").transform().voxel;
+            if (scenery_.tuft_size) stuff.moss_size = *scenery_.tuft_size;
+        }
+        picture = stuff.pieces.size() == 1 && stuff.moss.empty()
+                      ? render::run(rock, params, context.seed, context.progress)
+                      : render::run(stuff, params, context.seed, context.progress);
+    }
+
     /// Bytes at the peak: film, mesh, corner normals and Embree's tree.
     double memory(double triangles) const
     {
@@ -102,6 +164,7 @@ private:
     }
 
     render::Params params_;
+    Scenery scenery_;
     SliceChoice choice_;
 };
 

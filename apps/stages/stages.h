@@ -13,6 +13,14 @@ std::unique_ptr<Stage> make_joint();
 std::unique_ptr<Stage> make_weather();
 std::unique_ptr<Stage> make_mesh();
 std::unique_ptr<Stage> make_lantern();
+std::unique_ptr<Stage> make_light();
+std::unique_ptr<Stage> make_wind();
+std::unique_ptr<Stage> make_soil();
+std::unique_ptr<Stage> make_moss();
+std::unique_ptr<Stage> make_statistics();
+std::unique_ptr<Stage> make_plot();
+std::unique_ptr<Stage> make_export();
+std::unique_ptr<Stage> make_compare();
 std::unique_ptr<Stage> make_render();
 
 /// The lava preset a scene was made with, from its history; null when it has none.

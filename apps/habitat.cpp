@@ -1,0 +1,329 @@
+#include "apps/habitat.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "apps/recipe.h"
+#include "core/error.h"
+#include "core/parallel.h"
+
+namespace sekitei::apps {
+namespace {
+
+constexpr float kShade = 80;       // W/m^2
+constexpr double kLowHeight = 0.5;  // m
+constexpr float kNorth = 0.5f;     // of the normal's y
+
+/// Columns of a row, in this order.
+enum {
+    kDay,
+    kSpecies,
+    kDirection,
+    kLiving,
+    kSeeds,
+    kGerminated,
+    kDied,
+    kCover,
+    kFitness,
+    kFitnessShade,
+    kFitnessLow,
+    kCoverLow,
+    kLight,
+    kTemperature,
+    kHumidity,
+    kHumidityNorth,
+    kTheta,
+    kEvaporation,
+    kPrecipitation,
+    kRunoff,
+    kBalance,
+    kColumns
+};
+
+/// Area-weighted mean of value(i) over the cells that `mask` marks; 0 where there are none.
+template <class F>
+double mean_over(const SurfaceCells& cells, const std::vector<std::uint8_t>* mask, F&& value)
+{
+    const double area = parallel_sum(cells.size(), [&](std::size_t i) {
+        return mask && !(*mask)[i] ? 0.0 : double(cells.area[i]);
+    });
+    const double sum = parallel_sum(cells.size(), [&](std::size_t i) {
+        return mask && !(*mask)[i] ? 0.0 : double(cells.area[i]) * double(value(i));
+    });
+    return area > 0 ? sum / area : 0;
+}
+
+}  // namespace
+
+GroundMeans::GroundMeans(const Climate& climate) : climate_(&climate)
+{
+    for (auto& sum : sum_) sum.assign(climate.cells().size(), 0);
+}
+
+void GroundMeans::add(const ClimateDay& day, const std::vector<double>& water)
+{
+    const auto& depth = climate_->depth();
+    parallel_for(
+        depth.size(),
+        [&](std::size_t i) {
+            sum_[kTheta][i] += water[i] / double(depth[i]);
+            sum_[kBeta][i] += double(day.ground.beta[i]);
+            sum_[kTemperature][i] += double(day.ground.temperature[i]);
+            sum_[kHumidity][i] += double(day.ground.humidity[i]);
+            sum_[kEvaporation][i] += day.ground.evaporation[i];
+            sum_[kRunoff][i] += std::max(day.ground.runoff[i], day.rain.run[i]);
+        },
+        4096);
+    ++days_;
+}
+
+void GroundMeans::put(Scene& scene, const std::string& stage) const
+{
+    static constexpr std::pair<const char*, const char*> kNames[kCount] = {
+        {"soil_theta", ""}, {"soil_beta", ""},       {"soil_Ts", "K"},
+        {"soil_rh", ""},    {"soil_E", "mm/day"}, {"soil_runoff", "mm/day"}};
+    const double n = std::max<double>(1, double(days_));
+    for (int k = 0; k < kCount; ++k) {
+        std::vector<float> mean(sum_[std::size_t(k)].size());
+        for (std::size_t i = 0; i < mean.size(); ++i)
+            mean[i] = static_cast<float>(sum_[std::size_t(k)][i] / n);
+        scene.put(kNames[k].first, climate_->cells().to_grid(mean), kNames[k].second, stage);
+    }
+}
+
+Json GroundMeans::summary() const
+{
+    const SurfaceCells& cells = climate_->cells();
+    const double n = std::max<double>(1, double(days_));
+    auto mean = [&](int k) {
+        return mean_over(cells, nullptr,
+                         [&](std::size_t i) { return sum_[std::size_t(k)][i] / n; });
+    };
+    return {{"mean_temperature", mean(kTemperature)},
+            {"mean_humidity", mean(kHumidity)},
+            {"mean_theta", mean(kTheta)},
+            {"mean_evaporation", mean(kEvaporation)}};
+}
+
+std::vector<double> GroundMeans::save() const
+{
+    std::vector<double> all{double(days_)};
+    for (const auto& sum : sum_) all.insert(all.end(), sum.begin(), sum.end());
+    return all;
+}
+
+void GroundMeans::restore(const std::vector<double>& saved)
+{
+    const std::size_t n = sum_[0].size();
+    if (saved.size() != 1 + kCount * n)
+        throw InvalidInput("checkpoint: the means are of another number of cells");
+    days_ = static_cast<std::size_t>(saved[0]);
+    for (std::size_t k = 0; k < kCount; ++k)
+        std::copy_n(saved.begin() + std::ptrdiff_t(1 + k * n), n, sum_[k].begin());
+}
+
+void put_water(Scene& scene, const Climate& climate, const std::vector<double>& water,
+               const std::string& stage)
+{
+    const SurfaceCells& cells = climate.cells();
+    scene.put("soil_water", cells.to_grid(std::vector<float>(water.begin(), water.end())), "mm",
+              stage);
+    scene.put("soil_h", cells.to_grid(climate.depth()), "mm", stage);
+    scene.put("geology", cells.to_grid(climate.geology()), stage);
+}
+
+const std::vector<Column>& Statistics::columns()
+{
+    static const std::vector<Column> list = {
+        {"day", "", "1 on the first"},
+        {"species", "", "number in the moss stage's list, from 0; -1: the ground alone"},
+        {"wind_direction", "", "0 to 7 = N NE E SE S SW W NW, where it blows from"},
+        {"living", "", "mosses"},
+        {"seeds", "", "resting seeds"},
+        {"germinated", "", "that day"},
+        {"died", "", "that day, displaced ones among them"},
+        {"cover", "m^2", "area of cells with this moss"},
+        {"fitness", "", "mean G of the surface"},
+        {"fitness_shade", "", "mean G of shady cells"},
+        {"fitness_low", "", "mean G of shady cells below 0.5 m"},
+        {"cover_low", "m^2", "cover below 0.5 m"},
+        {"light", "W/m^2", "mean S"},
+        {"temperature", "K", "mean T_s"},
+        {"humidity", "", "mean rh_s"},
+        {"humidity_north", "", "mean rh_s of cells that face north"},
+        {"theta", "", "mean water content of the soil"},
+        {"evaporation", "mm", "mean E"},
+        {"precipitation", "mm", "mean rain that reached the surface"},
+        {"runoff", "mm", "water that left the surface, as a mean depth"},
+        {"balance_error", "", "water not accounted for, as a share"}};
+    return list;
+}
+
+Statistics::Statistics(int species) : species_(species) {}
+
+void Statistics::choose(const SurfaceCells& cells, std::span<const float> mean_light, double ground)
+{
+    shade_.resize(cells.size());
+    north_.resize(cells.size());
+    low_.resize(cells.size());
+    for (std::size_t i = 0; i < cells.size(); ++i) {
+        shade_[i] = mean_light[i] < kShade;
+        north_[i] = cells.normal[i].y > kNorth;
+        low_[i] = shade_[i] && cells.position[i].z < ground + kLowHeight;
+    }
+}
+
+void Statistics::add(int number, const Climate& climate, const ClimateDay& day,
+                     const std::vector<double>& water, const moss::DayStatistics* mosses,
+                     std::span<const std::vector<float>> fitness)
+{
+    const SurfaceCells& cells = climate.cells();
+    double row[kColumns] = {};
+    row[kDay] = number;
+    row[kSpecies] = -1;
+    row[kDirection] = day.weather.wind_direction;
+    auto mean = [&](auto&& value) { return mean_over(cells, nullptr, value); };
+    row[kLight] = mean([&](std::size_t i) { return day.light.total[i]; });
+    row[kTemperature] = mean([&](std::size_t i) { return day.ground.temperature[i]; });
+    auto humidity = [&](std::size_t i) { return day.ground.humidity[i]; };
+    row[kHumidity] = mean(humidity);
+    row[kHumidityNorth] = north_.empty() ? 0 : mean_over(cells, &north_, humidity);
+    row[kTheta] = mean([&](std::size_t i) { return water[i] / double(climate.depth()[i]); });
+    row[kEvaporation] = mean([&](std::size_t i) { return day.ground.evaporation[i]; });
+    const double area = parallel_sum(cells.size(), [&](std::size_t i) { return double(cells.area[i]); });
+    row[kPrecipitation] = day.rainfall / area;
+    row[kRunoff] = day.outflow / area;
+    row[kBalance] = day.balance_error;
+    largest_error_ = std::max(largest_error_, std::abs(day.balance_error));
+    if (species_ == 0) rows_.insert(rows_.end(), row, row + kColumns);
+    for (int s = 0; s < species_; ++s) {
+        const moss::SpeciesDay& of = mosses->species[std::size_t(s)];
+        const std::vector<float>& g = fitness[std::size_t(s)];
+        auto value = [&](std::size_t i) { return g[i]; };
+        row[kSpecies] = s;
+        row[kLiving] = double(of.living);
+        row[kSeeds] = double(of.seeds);
+        row[kGerminated] = double(of.germinated);
+        row[kDied] = double(of.died + of.displaced);
+        row[kCover] = of.area;
+        row[kFitness] = mean(value);
+        row[kFitnessShade] = shade_.empty() ? 0 : mean_over(cells, &shade_, value);
+        row[kFitnessLow] = low_.empty() ? 0 : mean_over(cells, &low_, value);
+        rows_.insert(rows_.end(), row, row + kColumns);
+    }
+}
+
+void Statistics::restore(const std::vector<double>& saved)
+{
+    if (saved.size() % kColumns != 0)
+        throw InvalidInput("checkpoint: the statistics have an odd length");
+    rows_ = saved;
+    for (std::size_t r = 0; r < rows_.size(); r += kColumns)
+        largest_error_ = std::max(largest_error_, std::abs(rows_[r + kBalance]));
+}
+
+Points Statistics::points(const std::string& stage) const
+{
+    Points points;
+    const std::size_t n = rows_.size() / kColumns;
+    points.position.assign(n, Vec3d());
+    for (int c = 0; c < kColumns; ++c) {
+        std::vector<double> column(n);
+        for (std::size_t r = 0; r < n; ++r)
+            column[r] = rows_[r * kColumns + std::size_t(c)];
+        points.attributes[columns()[std::size_t(c)].name] = std::move(column);
+    }
+    points.stage = stage;
+    return points;
+}
+
+std::string statistics_csv(const Points& statistics, const std::vector<std::string>& species)
+{
+    std::vector<const std::vector<double>*> columns;
+    std::vector<std::string> header;
+    for (const Column& column : Statistics::columns()) {
+        const auto found = statistics.attributes.find(column.name);
+        const auto* values = found == statistics.attributes.end()
+                                 ? nullptr
+                                 : std::get_if<std::vector<double>>(&found->second);
+        if (!values)
+            throw InvalidInput(
+                fmt::format("the points 'statistics' have no column '{}'", column.name));
+        columns.push_back(values);
+        header.push_back(column.unit.empty() ? column.name
+                                             : fmt::format("{} [{}]", column.name, column.unit));
+    }
+    std::string text = fmt::format("{}\n", fmt::join(header, ","));
+    for (std::size_t r = 0; r < statistics.position.size(); ++r) {
+        for (std::size_t c = 0; c < columns.size(); ++c) {
+            if (c > 0) text += ',';
+            const double value = (*columns[c])[r];
+            if (c == kSpecies)
+                text += value < 0 ? "ground"
+                        : std::size_t(value) < species.size()
+                            ? species[std::size_t(value)]
+                            : fmt::format("{}", value);
+            else
+                text += fmt::format("{:.9g}", value);
+        }
+        text += '\n';
+    }
+    return text;
+}
+
+std::vector<std::string> split_names(const std::string& list)
+{
+    std::vector<std::string> names;
+    std::size_t begin = 0;
+    while (begin <= list.size()) {
+        const std::size_t end = std::min(list.find(',', begin), list.size());
+        std::string name = list.substr(begin, end - begin);
+        while (!name.empty() && name.front() == ' ') name.erase(0, 1);
+        while (!name.empty() && name.back() == ' ') name.pop_back();
+        if (!name.empty()) names.push_back(std::move(name));
+        begin = end + 1;
+    }
+    return names;
+}
+
+moss::Species find_species(const std::string& name, const std::filesystem::path& folder)
+{
+    if (std::filesystem::path(name).extension() == ".toml") {
+        const std::filesystem::path file =
+            std::filesystem::path(name).is_absolute() ? std::filesystem::path(name) : folder / name;
+        moss::Species species;
+        apply_params_file(file, describe_params(species));
+        species.name = file.stem().string();  // what grids and tables call it
+        try {
+            moss::validate(species);
+        } catch (const InvalidParameter& error) {
+            throw InvalidParameter(fmt::format("{}: {}", file.string(), error.what()));
+        }
+        return species;
+    }
+    std::vector<std::string> names;
+    for (const moss::Species& species : moss::preset_species()) {
+        if (species.name == name) return species;
+        names.push_back(species.name);
+    }
+    const std::string near = nearest_name(name, names);
+    throw InvalidParameter(fmt::format(
+        "species = {}: no such species, expected one of {} or a .toml file{}", name,
+        fmt::join(names, ", "), near.empty() ? "" : "; did you mean '" + near + "'?"));
+}
+
+std::vector<std::string> species_names(const Scene& scene)
+{
+    const Json* made = params_of(scene, "moss");
+    if (!made || !made->contains("species")) return {};
+    std::vector<std::string> names = split_names((*made)["species"].get<std::string>());
+    for (std::string& name : names)
+        if (std::filesystem::path(name).extension() == ".toml")
+            name = std::filesystem::path(name).stem().string();
+    return names;
+}
+
+}  // namespace sekitei::apps

@@ -1,0 +1,85 @@
+#pragma once
+
+#include <span>
+#include <string>
+#include <vector>
+
+#include "apps/climate.h"
+#include "solvers/moss/population.h"
+
+/// What a run over many days leaves behind: means of the ground, and a row of numbers a day.
+namespace sekitei::apps {
+
+/// Means over days of what each cell meets.
+class GroundMeans {
+public:
+    explicit GroundMeans(const Climate& climate);
+    void add(const ClimateDay& day, const std::vector<double>& water);
+
+    /// soil_theta, soil_beta, soil_Ts, soil_rh, soil_E, soil_runoff.
+    void put(Scene& scene, const std::string& stage) const;
+    Json summary() const;
+    std::size_t days() const { return days_; }
+
+    /// The sums, for checkpoints.
+    std::vector<double> save() const;
+    void restore(const std::vector<double>& saved);
+
+private:
+    enum { kTheta, kBeta, kTemperature, kHumidity, kEvaporation, kRunoff, kCount };
+    const Climate* climate_;
+    std::size_t days_ = 0;
+    std::array<std::vector<double>, kCount> sum_;
+};
+
+/// soil_water [mm] at the end, geology, soil_h [mm].
+void put_water(Scene& scene, const Climate& climate, const std::vector<double>& water,
+               const std::string& stage);
+
+/// One column of `statistics`.
+struct Column {
+    std::string name, unit, meaning;
+};
+
+/// The points `statistics`: a row for each day and species (-1: the ground alone), in that order.
+///
+/// Means over the surface are weighted by area. "Shade": cells with less than 80 W/m^2 in the mean
+/// of the weather's days; "north": cells whose normal points north; "low": below 0.5 m.
+class Statistics {
+public:
+    static const std::vector<Column>& columns();
+
+    /// @param species  how many; 0: rows of the ground alone
+    explicit Statistics(int species);
+    /// @param mean_light  light_S of each cell; empty: no means of shade
+    void choose(const SurfaceCells& cells, std::span<const float> mean_light, double ground);
+
+    void add(int day, const Climate& climate, const ClimateDay& today,
+             const std::vector<double>& water, const moss::DayStatistics* mosses,
+             std::span<const std::vector<float>> fitness);
+
+    Points points(const std::string& stage) const;
+    double largest_balance_error() const { return largest_error_; }
+
+    std::vector<double> save() const { return rows_; }
+    void restore(const std::vector<double>& saved);
+
+private:
+    int species_;
+    std::vector<std::uint8_t> shade_, north_, low_;
+    std::vector<double> rows_;
+    double largest_error_ = 0;
+};
+
+/// The rows of `statistics` as comma-separated values with units in the header.
+/// @throws InvalidInput  a column is missing
+std::string statistics_csv(const Points& statistics, const std::vector<std::string>& species);
+
+/// Names of the species of a scene's moss stage, in order; empty where it had none.
+std::vector<std::string> species_names(const Scene& scene);
+/// A species by name or from a .toml file.
+moss::Species find_species(const std::string& name, const std::filesystem::path& folder);
+/// "bryum,hypnum" as names.
+std::vector<std::string> split_names(const std::string& list);
+
+}  // namespace sekitei::apps

@@ -1,0 +1,212 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <limits>
+#include <cmath>
+
+#include "apps/habitat.h"
+#include "apps/stages/stages.h"
+#include "core/error.h"
+#include "core/log.h"
+
+namespace sekitei::apps {
+namespace {
+
+constexpr int kWest = 6;
+
+/// Means of one scene's statistics.
+struct Habitat {
+    std::string name, layout;
+    double humidity_north = 0, fitness_shade = 0, fitness_shade_west = 0, fitness_low = 0,
+           fitness_low_west = 0, cover = 0;
+    std::optional<wind::AirTables> tables;
+};
+
+Habitat habitat_of(const std::string& name, const Scene& scene)
+{
+    Habitat h;
+    h.name = name;
+    if (const Json* made = params_of(scene, "lantern"))
+        h.layout = made->value("layout", std::string());
+    const Points& points = scene.points_of("statistics");
+    auto column = [&](const char* column_name) -> const std::vector<double>& {
+        const auto found = points.attributes.find(column_name);
+        const auto* values = found == points.attributes.end()
+                                 ? nullptr
+                                 : std::get_if<std::vector<double>>(&found->second);
+        if (!values)
+            throw InvalidInput(fmt::format("compare: {}: the points 'statistics' have no column "
+                                           "'{}'; run the moss stage",
+                                           name, column_name));
+        return *values;
+    };
+    const auto &who = column("species"), &day = column("day"), &from = column("wind_direction");
+    std::size_t rows = 0, west = 0;
+    double last = 0;
+    for (std::size_t r = 0; r < who.size(); ++r) last = std::max(last, day[r]);
+    for (std::size_t r = 0; r < who.size(); ++r) {
+        ++rows;
+        h.humidity_north += column("humidity_north")[r];
+        h.fitness_shade += column("fitness_shade")[r];
+        h.fitness_low += column("fitness_low")[r];
+        if (from[r] == kWest) {
+            ++west;
+            h.fitness_shade_west += column("fitness_shade")[r];
+            h.fitness_low_west += column("fitness_low")[r];
+        }
+        if (day[r] == last) h.cover += column("cover")[r];
+    }
+    if (rows == 0) throw InvalidInput(fmt::format("compare: {}: no statistics", name));
+    const double n = double(rows), w = std::max<double>(1, double(west));
+    h.humidity_north /= n;
+    h.fitness_shade /= n;
+    h.fitness_low /= n;
+    h.fitness_shade_west /= w;
+    h.fitness_low_west /= w;
+    if (scene.points.contains("air_tables")) h.tables = tables_of(scene);
+    return h;
+}
+
+/// One line of the comparison. Bounds come from the ratios of [Ogasawara2003, section 5] as far as
+/// the paper shows them; without bounds a line informs only.
+struct Line {
+    std::string measure, scene;
+    double value = 0, first = 0;
+    bool ratio = true;  ///< bounds are of value / first, else of value
+    double lower = -std::numeric_limits<double>::infinity(),
+           upper = std::numeric_limits<double>::infinity();
+
+    double compared() const { return ratio ? value / first : value; }
+    bool bounded() const { return std::isfinite(lower) || std::isfinite(upper); }
+    bool holds() const { return compared() >= lower && compared() <= upper; }
+    std::string expected() const
+    {
+        if (!bounded()) return "";
+        if (!std::isfinite(upper)) return fmt::format(">= {:g}", lower);
+        if (!std::isfinite(lower)) return fmt::format("<= {:g}", upper);
+        if (lower == upper) return fmt::format("{:g}", lower);
+        return fmt::format("{:g} to {:g}", lower, upper);
+    }
+};
+
+class CompareStage : public Stage {
+public:
+    const StageInfo& info() const override
+    {
+        static const StageInfo kInfo{"compare",
+                                     "1",
+                                     "habitats of several scenes beside the first one's, with what "
+                                     "the paper's experiments let expect",
+                                     OutputKind::Table,
+                                     true,
+                                     {"statistics"},
+                                     {},
+                                     true,
+                                     {"lantern", "moss"}};
+        return kInfo;
+    }
+    std::vector<std::string> uses() override { return {"air_tables"}; }
+    ParamList params() override { return {}; }
+    void validate() override {}
+    Need estimate(SceneOutline&, const StageContext&) override { return {0, 1e8, 1e5}; }
+
+    Json run(Scene&, const StageContext&) override
+    {
+        throw InvalidParameter("compare: needs two scenes or more");
+    }
+
+    Json run_many(const std::vector<std::pair<std::string, Scene>>& scenes,
+                  const StageContext&) override
+    {
+        if (scenes.size() < 2) throw InvalidParameter("compare: needs two scenes or more");
+        std::vector<Habitat> all;
+        for (const auto& [name, scene] : scenes) all.push_back(habitat_of(name, scene));
+        std::vector<Line> lines;
+        for (std::size_t k = 1; k < all.size(); ++k) add(lines, all[0], all[k]);
+        table = "measure,scene,value,first,ratio,expected,holds\n";
+        int bounded = 0, held = 0;
+        log::info("{:<36} {:<14} {:>10} {:>10} {:>8}  {:<14} {}", "measure", "scene", "value",
+                  all[0].name, "ratio", "expected", "");
+        for (const Line& line : lines) {
+            const std::string verdict = !line.bounded() ? "" : line.holds() ? "holds" : "MISSED";
+            bounded += line.bounded();
+            held += line.bounded() && line.holds();
+            const std::string ratio =
+                line.first != 0 ? fmt::format("{:.3f}", line.value / line.first) : "";
+            log::info("{:<36} {:<14} {:>10.5g} {:>10.5g} {:>8}  {:<14} {}", line.measure,
+                      line.scene, line.value, line.first, ratio, line.expected(), verdict);
+            table += fmt::format("{},{},{:.9g},{:.9g},{},{},{}\n", line.measure, line.scene,
+                                 line.value, line.first, ratio, line.expected(), verdict);
+        }
+        return {{"expectations", bounded}, {"held", held}};
+    }
+
+private:
+    static void add(std::vector<Line>& lines, const Habitat& first, const Habitat& other)
+    {
+        const bool fence = other.layout == "fence", pond = other.layout == "pond",
+                   south = other.layout == "south_fence";
+        const double none = -std::numeric_limits<double>::infinity(),
+                     any = std::numeric_limits<double>::infinity();
+        auto line = [&](const std::string& measure, double value, double before, double lower,
+                        double upper, bool ratio = true) {
+            lines.push_back({measure, other.name, value, before, ratio, lower, upper});
+        };
+        static constexpr const char* kWinds[] = {"N", "NE", "E", "SE", "S", "SW", "W", "NW"};
+        if (first.tables && other.tables) {
+            for (const int k : {0, 2, 4, 6}) {
+                double lower = none, upper = any;
+                // A fence shelters from the side it stands on, and less from the other side.
+                if (fence || south) {
+                    const int near = fence ? 0 : 4;
+                    if (k == near)
+                        upper = 0.45;
+                    else if (k == (near + 4) % 8)
+                        upper = 0.85;
+                    else
+                        lower = 0.85, upper = 1.15;
+                }
+                line(fmt::format("wind before the object {} (A_U)", kWinds[k]),
+                     other.tables->speed[std::size_t(k)], first.tables->speed[std::size_t(k)],
+                     lower, upper);
+            }
+            if (pond || other.layout == "garden") {
+                line("water touched W (A_T)", other.tables->temperature[6],
+                     first.tables->temperature[6], pond ? 1.5 : none, pond ? 5 : any, false);
+                line("water touched E (A_T)", other.tables->temperature[2],
+                     first.tables->temperature[2], pond ? 0 : none, pond ? 0 : any, false);
+                line("A_q - A_T, W", other.tables->humidity[6] - other.tables->temperature[6], 0,
+                     pond ? -1e-6 : none, pond ? 1e-6 : any, false);
+            }
+        }
+        const bool wetter = fence || pond;
+        line("humidity, cells facing north", other.humidity_north, first.humidity_north,
+             wetter ? 1 : none, any);
+        line("fitness G, S < 80 W/m2", other.fitness_shade, first.fitness_shade,
+             fence  ? 1.05
+             : pond ? 1.01
+                    : none,
+             any);
+        line("the same, west wind", other.fitness_shade_west, first.fitness_shade_west,
+             pond ? 1.04 : none, any);
+        const bool layers = other.tables && !other.tables->layers.empty();
+        line("fitness G, below 0.5 m", other.fitness_low, first.fitness_low,
+             pond && layers ? 1.05 : none, any);
+        line("the same, west wind", other.fitness_low_west, first.fitness_low_west,
+             pond && layers ? 1.15 : none, any);
+        line("living cover [m2]", other.cover, first.cover,
+             fence  ? 1.05
+             : pond ? 1.01
+                    : none,
+             any);
+    }
+};
+
+}  // namespace
+
+std::unique_ptr<Stage> make_compare()
+{
+    return std::make_unique<CompareStage>();
+}
+
+}  // namespace sekitei::apps

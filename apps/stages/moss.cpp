@@ -1,0 +1,304 @@
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <filesystem>
+
+#include "apps/habitat.h"
+#include "apps/stages/stages.h"
+#include "core/error.h"
+#include "core/file_output.h"
+#include "core/hash.h"
+#include "core/log.h"
+#include "core/math.h"
+#include "solvers/moss/landing.h"
+
+namespace sekitei::apps {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr int kCheckpointDays = 30;
+
+struct MossParams {
+    std::string species = "bryum,hypnum,polytrichum";
+    std::optional<std::int64_t> days;
+    bool repeat_year = false;
+    double every = 0;
+    std::string checkpoint;
+
+    static void describe(auto&& field)
+    {
+        field("species", &MossParams::species,
+              "names of mosses, separated by commas: bryum, hypnum, polytrichum, grimmia, or "
+              ".toml files");
+        field("days", &MossParams::days, "d", between(1, 1000000),
+              "how long they live; auto: as long as the weather");
+        field("repeat_year", &MossParams::repeat_year,
+              "begin the weather anew when it is shorter than days");
+        field("every", &MossParams::every, "d", kNotNegative,
+              "also write a scene every so many days, numbered by day; 0: only the last");
+        field("checkpoint", &MossParams::checkpoint,
+              "file to go on from after an interruption, and to write every 30 days; empty: none "
+              "(recipes keep their own)");
+    }
+};
+
+class MossStage : public Stage {
+public:
+    const StageInfo& info() const override
+    {
+        static const StageInfo kInfo = [] {
+            StageInfo info{"moss",
+                           "1",
+                           "mosses germinate, grow, spread and die where the climate suits them",
+                           OutputKind::Scene,
+                           true,
+                           climate_needs(),
+                           {"geology", "soil_h", "soil_water", "soil_theta", "soil_beta", "soil_Ts",
+                            "soil_rh", "soil_E", "soil_runoff", "statistics", "moss",
+                            "moss_species", "moss_growth", "moss_growth_max", "moss_age",
+                            "moss_cover", "seed_kind", "seed_species", "seed_age"},
+                           false,
+                           {"light", "soil"}};
+            info.needs.push_back("light_S");
+            return info;
+        }();
+        return kInfo;
+    }
+    std::vector<std::string> uses() override
+    {
+        std::vector<std::string> names = climate_uses();
+        names.push_back("soil_water");
+        return names;
+    }
+    std::vector<std::string> makes() override
+    {
+        std::vector<std::string> names = info().makes;
+        for (const std::string& name : split_names(params_.species))
+            names.push_back("suit_" + (fs::path(name).extension() == ".toml"
+                                           ? fs::path(name).stem().string()
+                                           : name));
+        return names;
+    }
+    std::vector<fs::path> files() override
+    {
+        std::vector<fs::path> list;
+        for (const std::string& name : split_names(params_.species))
+            if (fs::path(name).extension() == ".toml") list.emplace_back(name);
+        return list;
+    }
+    ParamList params() override
+    {
+        ParamList list = describe_params(params_);
+        for (Param& p : describe_params(rules_)) list.push_back(std::move(p));
+        for (Param& p : describe_params(propagation_)) list.push_back(std::move(p));
+        return list;
+    }
+    void validate() override
+    {
+        validate_described("moss", params_);
+        moss::validate(rules_);
+        moss::validate(propagation_);
+        const std::vector<std::string> names = split_names(params_.species);
+        if (names.empty()) throw InvalidParameter("moss: species: none; name at least one");
+        for (const std::string& name : names)
+            if (fs::path(name).extension() != ".toml") find_species(name, {});
+    }
+
+    Need estimate(SceneOutline& outline, const StageContext&) override
+    {
+        return {outline.surface_cells, memory(outline.surface_cells), outline.surface_cells * 90};
+    }
+
+    Json run(Scene& scene, const StageContext& context) override
+    {
+        std::vector<moss::Species> species;
+        for (const std::string& name : split_names(params_.species))
+            species.push_back(find_species(name, context.folder));
+        const moss::Community community{species, rules_, propagation_, context.seed};
+        moss::validate(community);
+
+        ClimateParams ground;
+        if (const Json* made = params_of(scene, "soil"))
+            for (const Param& p : describe(ground))
+                if (made->contains(p.name)) p.set((*made)[p.name]);
+        const Climate climate(scene, ground, context.folder, context.progress.slice(0, 0.1));
+        const SurfaceCells& cells = climate.cells();
+        const std::size_t n = cells.size(), there = climate.weather().days.size();
+        check_memory("moss", memory(double(n)), context.memory_limit);
+        const std::size_t days = params_.days ? std::size_t(*params_.days) : there;
+        if (days > there && !params_.repeat_year)
+            throw InvalidParameter(fmt::format(
+                "moss: days = {}, but the scene's weather has {}; use --repeat-year to begin it "
+                "anew, or give the light stage more days",
+                days, there));
+
+        const FloatGrid& level_set = scene.floats("surface_sdf");
+        const moss::Surface surface = moss::surface_of(cells);
+        const moss::CellLanding landing(level_set, cells);
+        State now{moss::first_settlers(community, surface), climate.initial_water(),
+                  GroundMeans(climate), Statistics(int(species.size())),
+                  std::vector<std::vector<double>>(species.size(), std::vector<double>(n)), {}};
+        if (scene.has("soil_water")) {
+            const std::vector<float> water = cells.from_grid(scene.floats("soil_water"), 0);
+            now.water.assign(water.begin(), water.end());
+        }
+        const double floor = scene.domain.dims.z > 0 ? scene.domain.transform.origin.z : 0;
+        now.statistics.choose(cells, cells.from_grid(scene.floats("light_S"), 0), floor);
+        const fs::path file = params_.checkpoint.empty()
+                                  ? context.checkpoint
+                                  : resolve(context, params_.checkpoint);
+        const std::string recipe = file.empty() ? "" : identity(scene, days);
+        if (!file.empty() && fs::exists(file)) restore(now, file, recipe, n, context);
+
+        ClimateDay day;
+        std::vector<std::vector<float>> fitness(species.size(), std::vector<float>(n));
+        const Progress progress = context.progress.slice(0.1, 1);
+        for (auto d = static_cast<std::size_t>(now.population.day); d < days; ++d) {
+            climate.advance(d % there, now.water, now.population.cover, day, progress.slice(1, 1));
+            for (std::size_t s = 0; s < species.size(); ++s) {
+                moss::fitness(species[s], rules_, day.ground.temperature, day.ground.humidity,
+                              day.light.total, fitness[s], progress.slice(1, 1));
+                parallel_for(
+                    n, [&](std::size_t i) { now.fitness[s][i] += double(fitness[s][i]); }, 8192);
+            }
+            const double from = day.weather.wind_direction * math::kPi / 4;
+            const moss::DayStatistics mosses =
+                moss::day(now.population, community, surface, landing,
+                          {fitness, day.wind, {-math::sin(from), -math::cos(from), 0}},
+                          progress.slice(1, 1));
+            now.means.add(day, now.water);
+            now.statistics.add(int(d) + 1, climate, day, now.water, &mosses, fitness);
+            now.humidity = day.ground.humidity;
+            const int done = int(d) + 1;
+            const int every = static_cast<int>(std::lround(params_.every));
+            if (every > 0 && context.frame && (done % every == 0 || done == int(days))) {
+                put(scene, climate, community, surface, level_set, now);
+                context.frame(done, scene);
+            }
+            if (!file.empty() && done % kCheckpointDays == 0 && done < int(days))
+                write_file(file, moss::encode(checkpoint(now, recipe, context.seed)));
+            progress.update(double(done) / double(days));
+        }
+        put(scene, climate, community, surface, level_set, now);
+        if (!file.empty() && params_.checkpoint.empty()) {
+            std::error_code ignored;
+            fs::remove(file, ignored);  // the result itself is kept now
+        }
+
+        const moss::DayStatistics last = moss::count(now.population, community, surface);
+        double area = 0;
+        for (const float a : cells.area) area += double(a);
+        Json summary = now.means.summary();
+        summary["cells"] = n;
+        summary["days"] = days;
+        for (std::size_t s = 0; s < species.size(); ++s)
+            summary[species[s].name] = fmt::format("{} living, {:.3g} of the surface",
+                                                   last.species[s].living,
+                                                   last.species[s].area / area);
+        summary["largest_balance_error"] = now.statistics.largest_balance_error();
+        if (!climate.has_wind()) summary["wind"] = "as in the weather: no wind stage ran";
+        return summary;
+    }
+
+private:
+    /// What goes on from day to day.
+    struct State {
+        moss::Population population;
+        std::vector<double> water;
+        GroundMeans means;
+        Statistics statistics;
+        std::vector<std::vector<double>> fitness;  ///< sums of G
+        std::vector<float> humidity;               ///< rh_s of the last day
+    };
+
+    /// What a checkpoint belongs to, apart from the seed.
+    std::string identity(const Scene& scene, std::size_t days)
+    {
+        Json all = params_json(params());
+        all.erase("checkpoint");
+        all["days"] = days;
+        if (const Json* soil = params_of(scene, "soil")) all["soil"] = *soil;
+        all["surface"] = content_hash(scene.grids.at("surf_area"));
+        all["daylight"] = content_hash(scene.points_of("daylight"));
+        all["weather"] = content_hash(scene.points_of("weather"));
+        return hash_hex(all.dump());
+    }
+
+    static moss::Checkpoint checkpoint(const State& now, const std::string& recipe,
+                                       std::uint64_t seed)
+    {
+        moss::Checkpoint c{seed, recipe, now.population, {}};
+        c.fields["water"] = now.water;
+        c.fields["means"] = now.means.save();
+        c.fields["statistics"] = now.statistics.save();
+        c.fields["humidity"].assign(now.humidity.begin(), now.humidity.end());
+        for (std::size_t s = 0; s < now.fitness.size(); ++s)
+            c.fields[fmt::format("fitness_{}", s)] = now.fitness[s];
+        return c;
+    }
+
+    static void restore(State& now, const fs::path& file, const std::string& recipe,
+                        std::size_t cells, const StageContext& context)
+    {
+        moss::Checkpoint c = moss::decode(read_file(file, 1ull << 36), file.string(), context.seed,
+                                          recipe, cells);
+        auto field = [&](const std::string& name) -> std::vector<double>& {
+            const auto found = c.fields.find(name);
+            if (found == c.fields.end())
+                throw InvalidInput(fmt::format("{}: the checkpoint has no field '{}'",
+                                               file.string(), name));
+            return found->second;
+        };
+        now.population = std::move(c.population);
+        now.water = field("water");
+        now.means.restore(field("means"));
+        now.statistics.restore(field("statistics"));
+        now.humidity.assign(field("humidity").begin(), field("humidity").end());
+        for (std::size_t s = 0; s < now.fitness.size(); ++s)
+            now.fitness[s] = field(fmt::format("fitness_{}", s));
+        log::info("moss: going on from day {} of {}", now.population.day, file.string());
+    }
+
+    void put(Scene& scene, const Climate& climate, const moss::Community& community,
+             const moss::Surface& surface, const FloatGrid& level_set, const State& now)
+    {
+        const SurfaceCells& cells = climate.cells();
+        now.means.put(scene, "moss");
+        put_water(scene, climate, now.water, "moss");
+        scene.put("moss_species", cells.to_grid(moss::moss_species(now.population)), "moss");
+        scene.put("moss_growth", cells.to_grid(now.population.growth), "", "moss");
+        scene.put("moss_growth_max", cells.to_grid(now.population.growth_max), "", "moss");
+        scene.put("moss_age", cells.to_grid(moss::moss_age(now.population)), "moss");
+        scene.put("moss_cover", cells.to_grid(now.population.cover), "", "moss");
+        scene.put("seed_kind", cells.to_grid(moss::seed_kind(now.population)), "moss");
+        scene.put("seed_species", cells.to_grid(moss::seed_species(now.population)), "moss");
+        scene.put("seed_age", cells.to_grid(moss::seed_age(now.population)), "moss");
+        const double days = std::max(1, now.population.day);
+        for (std::size_t s = 0; s < community.species.size(); ++s) {
+            std::vector<float> mean(cells.size());
+            for (std::size_t i = 0; i < mean.size(); ++i)
+                mean[i] = static_cast<float>(now.fitness[s][i] / days);
+            scene.put("suit_" + community.species[s].name, cells.to_grid(mean), "", "moss");
+        }
+        scene.points["moss"] =
+            moss::to_points(now.population, community, surface, &level_set, now.humidity);
+        scene.points["moss"].stage = "moss";
+        scene.points["statistics"] = now.statistics.points("moss");
+    }
+
+    static double memory(double cells) { return 2e8 + cells * 900; }
+
+    MossParams params_;
+    moss::Rules rules_;
+    moss::Propagation propagation_;
+};
+
+}  // namespace
+
+std::unique_ptr<Stage> make_moss()
+{
+    return std::make_unique<MossStage>();
+}
+
+}  // namespace sekitei::apps

@@ -1,0 +1,32 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "core/mesh.h"
+#include "grids/scene.h"
+
+/// What a scene holds besides its rock, as meshes: for light and for pictures.
+namespace sekitei::apps {
+
+/// Names of the grids and points below.
+std::vector<std::string> scenery_uses();
+
+/// `obstacle_sdf`: fences, trunks. Empty where there are none, like the others.
+TriMesh obstacle_mesh(const Scene& scene);
+/// `leaves`: a square for each point, of half edge `pscale` across `N`.
+/// @throws InvalidInput  attributes that are missing
+TriMesh leaf_mesh(const Scene& scene);
+/// `water_surface`: the upper faces of its voxels, at least 1 cm over the ground so that a level
+/// ground plane does not cover them.
+TriMesh water_mesh(const Scene& scene, double ground);
+
+/// The grid that a field's name means: plain words for the short names of soil grids.
+std::string grid_of_field(const std::string& field);
+
+/// The mesh with a vertex attribute `grid`: the mean of the surface cells around each vertex,
+/// nearer ones counting more. Vertices without a cell near get NaN.
+/// @throws InvalidInput  not a grid of numbers
+TriMesh with_field(const TriMesh& mesh, const Scene& scene, const std::string& grid);
+
+}  // namespace sekitei::apps
