@@ -51,14 +51,6 @@ struct LightParams {
 /// The grids that may carry the surface, by preference.
 const std::vector<std::string> kSurfaces{"surface_sdf", "density"};
 
-/// What the box that a level set was made in cuts off, and what faces the air there.
-Domain cut_box(const Scene& scene, const Transform& transform)
-{
-    Domain box = scene.domain;
-    box.transform = transform;
-    return box;
-}
-
 class LightStage : public Stage {
 public:
     const StageInfo& info() const override
@@ -118,7 +110,8 @@ public:
                         params_.longitude.value_or(0) * math::kPi / 180};
         const std::filesystem::path file = resolve(context, params_.weather);
         Weather weather = read_weather(file, site, params_.fill);
-        for (const std::string& note : weather.notes) log::info("{}: {}", file.string(), note);
+        const std::vector<std::string> notes = weather.notes;
+        for (const std::string& note : notes) log::info("light: {}", note);
         if (site) weather.site = site;
         if (!weather.site)
             throw InvalidParameter(fmt::format(
@@ -200,7 +193,8 @@ public:
                         {"mean_light", mean / area},
                         {"mean_sky_view", view / area},
                         {"bytes_a_cell", coefficients.bytes_per_site()}};
-        if (!weather.notes.empty()) summary["weather"] = weather.notes;
+        for (const std::string& note : notes)  // told in full above
+            summary["derived"].push_back(note.substr(0, note.find(':')));
         return summary;
     }
 
@@ -221,8 +215,7 @@ private:
         if (level_set && !params_.cell) {
             if (name != "surface_sdf") scene.put("surface_sdf", FloatGrid(grid), "m", "light",
                                                  GridClass::LevelSet);
-            if (domain.dims.x > 0 && domain.transform == grid.transform())
-                return cut_box(scene, grid.transform());
+            if (domain.dims.x > 0 && domain.transform == grid.transform()) return domain;
             return {};
         }
         // A volume: its surface, and the distance to that.
