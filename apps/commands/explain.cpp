@@ -111,7 +111,11 @@ int command_explain(const std::string& file, const std::string& at, const Common
         const std::filesystem::path folder = std::filesystem::path(file).parent_path();
         if (const Json* made = params_of(scene, "moss")) {
             for (const Param& param : describe_params(rules))
-                if (made->contains(param.name)) param.set((*made)[param.name]);
+                if (made->contains(param.name) && !(*made)[param.name].is_null())
+                    param.set((*made)[param.name]);
+            const Json* soil = params_of(scene, "soil");
+            if ((*made)["light_gate"].is_null() && soil && soil->value("profile", "") == "paper")
+                rules.light_gate = false;
             for (const std::string& name : split_names((*made)["species"].get<std::string>())) {
                 if (std::filesystem::path(name).extension() == ".toml" &&
                     !std::filesystem::exists(name))

@@ -25,6 +25,7 @@ struct MossParams {
     bool repeat_year = false;
     double every = 0;
     std::string checkpoint;
+    std::optional<bool> light_gate;
 
     static void describe(auto&& field)
     {
@@ -37,6 +38,8 @@ struct MossParams {
               "begin the weather anew when it is shorter than days");
         field("every", &MossParams::every, "d", kNotNegative,
               "also write a scene every so many days, numbered by day; 0: only the last");
+        field("light_gate", &MossParams::light_gate,
+              "nothing grows in the dark; auto: unless the soil stage has profile = paper");
         field("checkpoint", &MossParams::checkpoint,
               "file to go on from after an interruption, and to write every 30 days; empty: none "
               "(recipes keep their own)");
@@ -90,7 +93,8 @@ public:
     ParamList params() override
     {
         ParamList list = describe_params(params_);
-        for (Param& p : describe_params(rules_)) list.push_back(std::move(p));
+        for (Param& p : describe_params(rules_))
+            if (p.name != "light_gate") list.push_back(std::move(p));
         for (Param& p : describe_params(propagation_)) list.push_back(std::move(p));
         return list;
     }
@@ -115,13 +119,14 @@ public:
         std::vector<moss::Species> species;
         for (const std::string& name : split_names(params_.species))
             species.push_back(find_species(name, context.folder));
-        const moss::Community community{species, rules_, propagation_, context.seed};
-        moss::validate(community);
-
         ClimateParams ground;
         if (const Json* made = params_of(scene, "soil"))
             for (const Param& p : describe(ground))
                 if (made->contains(p.name)) p.set((*made)[p.name]);
+        rules_.light_gate = params_.light_gate.value_or(ground.profile == Profile::Full);
+        const moss::Community community{species, rules_, propagation_, context.seed};
+        moss::validate(community);
+
         const Climate climate(scene, ground, context.folder, context.progress.slice(0, 0.1));
         const SurfaceCells& cells = climate.cells();
         const std::size_t n = cells.size(), there = climate.weather().days.size();
