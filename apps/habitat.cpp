@@ -135,6 +135,17 @@ void put_water(Scene& scene, const Climate& climate, const std::vector<double>& 
     scene.put("geology", cells.to_grid(climate.geology()), stage);
 }
 
+void label(Scene& scene, const std::vector<std::string>& names, std::size_t day, Profile profile,
+           std::uint64_t seed)
+{
+    for (const std::string& name : names)
+        if (const auto grid = scene.grids.find(name); grid != scene.grids.end())
+            grid->second.extra = {
+                {"day", day},
+                {"profile", std::string(choice_names(profile)[static_cast<std::size_t>(profile)])},
+                {"seed", seed}};
+}
+
 const std::vector<Column>& Statistics::columns()
 {
     static const std::vector<Column> list = {

@@ -36,6 +36,10 @@ private:
 void put_water(Scene& scene, const Climate& climate, const std::vector<double>& water,
                const std::string& stage);
 
+/// Metadata of the grids of these names that are there: `day` (the last one), `profile`, `seed`.
+void label(Scene& scene, const std::vector<std::string>& names, std::size_t day, Profile profile,
+           std::uint64_t seed);
+
 /// One column of `statistics`.
 struct Column {
     std::string name, unit, meaning;

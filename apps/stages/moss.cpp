@@ -179,6 +179,7 @@ public:
             const int every = static_cast<int>(std::lround(params_.every));
             if (every > 0 && context.frame && (done % every == 0 || done == int(days))) {
                 put(scene, climate, community, surface, level_set, now);
+                label(scene, makes(), std::size_t(done), ground.profile, context.seed);
                 context.frame(done, scene);
             }
             if (!file.empty() && done % kCheckpointDays == 0 && done < int(days))
@@ -186,6 +187,7 @@ public:
             progress.update(double(done) / double(days));
         }
         put(scene, climate, community, surface, level_set, now);
+        label(scene, makes(), days, ground.profile, context.seed);
         if (!file.empty() && params_.checkpoint.empty()) {
             std::error_code ignored;
             fs::remove(file, ignored);  // the result itself is kept now

@@ -62,6 +62,7 @@ public:
         }
         means.put(scene, "soil");
         put_water(scene, climate, water, "soil");
+        label(scene, makes(), days, params_.profile, context.seed);
         scene.points["statistics"] = statistics.points("soil");
         Json summary = means.summary();
         summary["cells"] = n;
