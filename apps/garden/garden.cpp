@@ -12,7 +12,7 @@
 namespace sekitei::garden {
 namespace {
 
-constexpr double kObstacleVoxel = 0.05, kAirVoxel = 0.25, kWaterVoxel = 0.125;  // [m]
+constexpr double kObstacleVoxel = 0.05, kAirVoxel = 0.25, kWaterVoxel = 0.05;  // [m]
 
 /// Part of a crown: an ellipsoid of leaves.
 struct Lump {

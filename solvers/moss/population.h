@@ -220,7 +220,9 @@ std::vector<std::int32_t> seed_age(const Population& population);
 /// min(1, growth / 2), `species` (from 0), `age` [d], `id` (int64), `site`, `growth`, `growth_max`,
 /// `wetness`.
 ///
-/// @param level_set  if given, feet are put on its zero set (trilinear), else at Surface::foot
+/// @param level_set  if given, feet stray from the middle of their cells, by at most half a
+///                   spacing so that no lattice shows, and stand on its zero set (trilinear); else
+///                   they are at Surface::foot
 /// @param humidity   rh_s of each site, becomes `wetness`; empty: left out
 Points to_points(const Population& population, const Community& community, const Surface& surface,
                  const FloatGrid* level_set, std::span<const float> humidity);

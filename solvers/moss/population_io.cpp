@@ -16,6 +16,8 @@ namespace sekitei::moss {
 namespace {
 
 constexpr Stream kYaw{"moss.yaw"};
+constexpr Stream kPlace{"moss.place"};
+constexpr double kStray = 0.5;  // of a foot from its cell's middle / spacing
 constexpr double kFullGrowth = 2;  // G_moss of full visual size
 
 std::vector<std::int32_t> widened(const std::vector<std::uint8_t>& values)
@@ -68,6 +70,17 @@ Vec3d on_surface(GridReader<float>& level_set, const Transform& transform, Vec3d
         return p + n * ((near + far) / 2 * transform.voxel);
     }
     return otherwise;
+}
+
+/// Uniform in a disc of radius kStray across n.
+Vec3d stray(std::uint64_t key, std::uint64_t id, Vec3d n)
+{
+    const Vec3d u =
+        normalized(cross(n, std::abs(n.z) < 0.9 ? Vec3d(0, 0, 1) : Vec3d(1, 0, 0)));
+    const std::uint64_t own = hash2(key, id);
+    const double angle = 2 * math::kPi * uniform_of_key(own, 0);
+    const double r = kStray * std::sqrt(uniform_of_key(own, 1));
+    return u * (r * math::cos(angle)) + cross(n, u) * (r * math::sin(angle));
 }
 
 template <class T>
@@ -208,6 +221,7 @@ Points to_points(const Population& p, const Community& community, const Surface&
     std::vector<std::int32_t> species(n), age(n);
     std::vector<std::int64_t> id(n);
     const std::uint64_t yaw_key = hash2(community.seed, kYaw.id);
+    const std::uint64_t place_key = hash2(community.seed, kPlace.id);
     parallel_for_range(
         n,
         [&](std::size_t begin, std::size_t end) {
@@ -216,10 +230,18 @@ Points to_points(const Population& p, const Community& community, const Surface&
             for (std::size_t k = begin; k < end; ++k) {
                 const auto i = static_cast<std::size_t>(site[k]);
                 const Vec3d normal_d = normalized(Vec3d(surface.normal[i]));
-                points.position[k] =
-                    reader ? on_surface(*reader, level_set->transform(), surface.position[i],
-                                        normal_d, surface.foot(i))
-                           : surface.foot(i);
+                points.position[k] = surface.foot(i);
+                if (reader) {
+                    const Vec3d middle = on_surface(*reader, level_set->transform(),
+                                                    surface.position[i], normal_d, surface.foot(i));
+                    // Off the lattice, anywhere in the cell; where an edge is near, the middle.
+                    const Vec3d strayed = on_surface(
+                        *reader, level_set->transform(),
+                        surface.position[i] + stray(place_key, p.id[i], normal_d) * surface.spacing,
+                        normal_d, middle);
+                    points.position[k] =
+                        length(strayed - middle) < 0.9 * surface.spacing ? strayed : middle;
+                }
                 normal[k] = surface.normal[i];
                 orient[k] = orientation(normalized(normal_d + Vec3d(0, 0, 0.5)),
                                         2 * math::kPi * uniform_of_key(yaw_key, p.id[i]));

@@ -147,13 +147,17 @@ TEST(MossPoints, AreTheLivingWithTheirRootsOnTheSurface)
     EXPECT_GT(points.position.size(), 1000u);
     GridReader<float> level_set(ground().level_set);
     const double voxel = ground().box.transform.voxel;
-    double worst = 0;
+    double worst = 0, strayed = 0, off = 0;
     for (std::size_t k = 0; k < points.position.size(); ++k) {
         const double d =
             double(level_set.sample(ground().box.transform.voxels(points.position[k])));
         worst = std::max(worst, std::abs(d));
         const auto i = static_cast<std::size_t>(values<std::int32_t>(points, "site")[k]);
         ASSERT_LT(length(points.position[k] - surface.position[i]), 1.8 * voxel);
+        const Vec3d n(surface.normal[i]), way = points.position[k] - surface.foot(i);
+        const double across = length(way - n * dot(way, n));
+        off = std::max(off, across);
+        strayed += across / double(points.position.size());
         ASSERT_EQ(values<std::int32_t>(points, "species")[k], settled().species[i] - 1);
         ASSERT_EQ(values<std::int64_t>(points, "id")[k],
                   static_cast<std::int64_t>(settled().id[i]));
@@ -164,6 +168,8 @@ TEST(MossPoints, AreTheLivingWithTheirRootsOnTheSurface)
         ASSERT_EQ(values<Vec3f>(points, "N")[k], surface.normal[i]);
     }
     EXPECT_LT(worst, 0.1 * voxel);
+    EXPECT_LT(off, 0.51 * voxel);
+    EXPECT_NEAR(strayed, 0.333 * voxel, 0.03 * voxel);  // two thirds of the disc's radius
     EXPECT_EQ(points.stage, "moss");
     EXPECT_FALSE(
         to_points(settled(), kCommunity, surface, nullptr, {}).attributes.contains("wetness"));
