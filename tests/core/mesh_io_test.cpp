@@ -340,6 +340,28 @@ TEST(MeshIo, StlVerticesAreJoined)
     }
 }
 
+TEST(MeshIo, StlVerticesThatRoundingMovedOffZeroAreJoined)
+{
+    TriMesh mesh = tetrahedron();
+    const Vec3f corner = mesh.vertices[0];
+    for (Vec3f& p : mesh.vertices) p -= corner;
+    std::string bytes = encode_mesh(mesh, ".stl");
+    const std::size_t merged = decode_mesh(bytes, "a.stl").vertices.size();
+    // One copy of a coordinate that is zero becomes what a turn by 90 degrees leaves of it.
+    int moved = 0;
+    for (std::size_t at = 84; at + 50 <= bytes.size() && moved == 0; at += 50)
+        for (std::size_t k = 3; k < 12 && moved == 0; ++k) {
+            float value;
+            std::memcpy(&value, bytes.data() + at + 4 * k, sizeof value);
+            if (value != 0) continue;
+            const float rounded = 4.4e-17f;
+            std::memcpy(bytes.data() + at + 4 * k, &rounded, sizeof rounded);
+            ++moved;
+        }
+    ASSERT_EQ(moved, 1);
+    EXPECT_EQ(decode_mesh(bytes, "a.stl").vertices.size(), merged);
+}
+
 TEST(MeshIo, AMeshInsideOutIsTurned)
 {
     TriMesh mesh;

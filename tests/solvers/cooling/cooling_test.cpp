@@ -382,6 +382,29 @@ TEST(Cooling, NamesWhatIsWrongWithTheRegion)
                 ThrowsMessage<InvalidParameter>(HasSubstr("lava_temperature")));
 }
 
+TEST(Cooling, StepsOfABodyNothingIsKnownOfGrowWithTheSquareOfItsInnerRadius)
+{
+    const Coord dims{27, 30, 33};
+    auto plate = [&](int thickness) {
+        return region_of(dims, [=](Coord c) {
+            return c.y >= 5 && c.y < 5 + thickness ? kLava : kCold;
+        });
+    };
+    auto steps = [&](const IntGrid& region, double alpha, int most) {
+        return suitable_steps(region, {dims, kPlace}, alpha, most);
+    };
+    // Half of the plate's thickness is its inner radius: 0.083 R^2 / alpha.
+    EXPECT_EQ(steps(plate(8), 0.1, 5000), 13);
+    EXPECT_EQ(steps(plate(16), 0.1, 5000), 53);
+    EXPECT_EQ(steps(plate(16), 0.05, 5000), 106);
+    EXPECT_EQ(steps(plate(16), 0.1, 40), 40);
+    EXPECT_EQ(steps(plate(1), 0.1, 5000), 4);
+    const IntGrid hot_below = region_of(dims, [](Coord c) {
+        return c.z < 4 ? kSlow : c.z < 12 ? kLava : kCold;
+    });
+    EXPECT_EQ(steps(hot_below, 0.1, 5000), 5000);
+}
+
 TEST(Cooling, TakesNoStepAndTheSmallestBody)
 {
     const Coord dims(1, 1, 2);
