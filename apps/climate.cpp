@@ -22,8 +22,7 @@ const std::vector<T>& attribute(const Points& points, const std::string& set,
 {
     const auto found = points.attributes.find(name);
     if (found == points.attributes.end())
-        throw InvalidInput(
-            fmt::format("the points '{}' have no attribute '{}'", set, name));
+        throw InvalidInput(fmt::format("the points '{}' have no attribute '{}'", set, name));
     const auto* values = std::get_if<std::vector<T>>(&found->second);
     if (!values)
         throw InvalidInput(
@@ -54,6 +53,25 @@ constexpr std::pair<const char*, int WeatherDay::*> kWhole[] = {
 constexpr int kRock = 3;
 constexpr int kOwnSoil = 100;  // geology of a soil from a file
 constexpr float kWallSlope = 0.10f;
+
+/// Sums of several values over the cells in one pass, in a fixed order.
+template <class F>
+auto sums(std::size_t count, F&& values)
+{
+    using Sum = decltype(values(std::size_t(0)));
+    auto join = [](Sum a, const Sum& b) {
+        for (std::size_t k = 0; k < a.size(); ++k) a[k] += b[k];
+        return a;
+    };
+    return parallel_fold(
+        count, 1024, Sum{},
+        [&](std::size_t begin, std::size_t end) {
+            Sum sum{};
+            for (std::size_t i = begin; i != end; ++i) sum = join(sum, values(i));
+            return sum;
+        },
+        join);
+}
 
 /// Solid below each cell, straight down [mm], from 1 to 1000; 1 on walls and undersides.
 std::vector<float> thickness(const FloatGrid& surface, const SurfaceCells& cells,
@@ -217,9 +235,9 @@ soil::Soil find_soil(const std::string& name, const std::filesystem::path& folde
         names.push_back(soil.name);
     }
     const std::string near = nearest_name(name, names);
-    throw InvalidParameter(fmt::format("soil = {}: no such soil, expected one of {} or a .toml file{}",
-                                       name, fmt::join(names, ", "),
-                                       near.empty() ? "" : "; did you mean '" + near + "'?"));
+    throw InvalidParameter(
+        fmt::format("soil = {}: no such soil, expected one of {} or a .toml file{}", name,
+                    fmt::join(names, ", "), near.empty() ? "" : "; did you mean '" + near + "'?"));
 }
 
 Points table_points(const wind::AirTables& tables)
@@ -245,9 +263,10 @@ wind::AirTables tables_of(const Scene& scene)
 {
     const Points& points = scene.points_of("air_tables");
     if (points.position.size() != 8)
-        throw InvalidInput(fmt::format("the points 'air_tables' are {}, must be 8, one for each "
-                                       "direction of the wind",
-                                       points.position.size()));
+        throw InvalidInput(
+            fmt::format("the points 'air_tables' are {}, must be 8, one for each "
+                        "direction of the wind",
+                        points.position.size()));
     auto get = [&](const std::string& name) {
         const auto& values = attribute<double>(points, "air_tables", name);
         wind::AirTables::Table table;
@@ -278,9 +297,9 @@ Points daylight_points(const light::Coefficients& coefficients, const SurfaceCel
     for (std::size_t w = 0; w < coefficients.words(); ++w)
         points.attributes[fmt::format("bits_{:02}", w)] = coefficients.word(w);
     for (std::size_t k = 0; k * n < coefficients.links.size(); ++k)
-        points.attributes[fmt::format("link_{:02}", k)] = std::vector<std::int32_t>(
-            coefficients.links.begin() + std::ptrdiff_t(k * n),
-            coefficients.links.begin() + std::ptrdiff_t((k + 1) * n));
+        points.attributes[fmt::format("link_{:02}", k)] =
+            std::vector<std::int32_t>(coefficients.links.begin() + std::ptrdiff_t(k * n),
+                                      coefficients.links.begin() + std::ptrdiff_t((k + 1) * n));
     points.stage = "light";
     return points;
 }
@@ -327,8 +346,8 @@ const Json* params_of(const Scene& scene, const std::string& stage)
 
 std::vector<std::string> climate_needs()
 {
-    return {"surface_sdf", "surf_normal", "surf_area", "sky_view",
-            "rain_exposure", "daylight", "weather"};
+    return {"surface_sdf",   "surf_normal", "surf_area", "sky_view",
+            "rain_exposure", "daylight",    "weather"};
 }
 
 std::vector<std::string> climate_uses()
@@ -353,8 +372,6 @@ Climate::Climate(const Scene& scene, const ClimateParams& params,
     cells_ = surface_cells(surface, scene.vectors("surf_normal"), scene.floats("surf_area"),
                            progress.slice(0, 0.3));
     coefficients_ = coefficients_of(scene, cells_);
-    origin_.resize(cells_.size());
-    for (std::size_t i = 0; i < cells_.size(); ++i) origin_[i] = cells_.ray_origin(i);
 
     // Soils: what the scene says, else the same everywhere.
     soils_ = soil::preset_soils();
@@ -416,8 +433,10 @@ Climate::Climate(const Scene& scene, const ClimateParams& params,
             foot[i] = cells_.position[i] - Vec3d(cells_.normal[i]) * double(cells_.sdf[i]);
             up[i] = cells_.normal[i].z;
         }
-        const std::vector<std::int32_t> drops =
-            drop_targets(surface, cells_, progress.slice(0.4, 0.6));
+        std::vector<std::int32_t> drops = drop_targets(surface, cells_, progress.slice(0.4, 0.6));
+        // In a gap of one voxel both feet may meet: such drops are lost.
+        for (std::size_t i = 0; i < drops.size(); ++i)
+            if (drops[i] >= 0 && !(foot[std::size_t(drops[i])].z < foot[i].z)) drops[i] = -1;
         paths_ = soil::runoff_paths(
             {foot, up, cells_.area, cells_.neighbour_begin, cells_.neighbour, drops},
             progress.slice(0.6, 1));
@@ -439,18 +458,18 @@ void Climate::advance(std::size_t index, std::vector<double>& water, std::span<c
     day.weather = w;
     const auto moments = sun::moments_of_day(w.year, w.month, w.day, site_);
     const sun::Radiation radiation = sun::radiation(w, site_, moments);
-    day.light = light::day(coefficients_, {origin_, cells_.normal, cells_.area}, moments, radiation);
+    // A day's light asks no more rays: where they would start does not matter.
+    day.light = light::day(coefficients_, {cells_.position, cells_.normal, cells_.area}, moments,
+                           radiation);
 
     // Air before the object, and along it.
     const auto k = std::size_t(w.wind_direction);
     day.wind.resize(n);
     day.air_temperature.resize(n);
     day.air_humidity.resize(n);
-    const double pond =
-        wind::water_temperature(day_of_year(w.year, w.month, w.day));
+    const double pond = wind::water_temperature(day_of_year(w.year, w.month, w.day));
     const wind::Air air = wind::air_before(w, pond, tables_, params_.exchange);
-    const std::vector<wind::Air> layers =
-        wind::air_by_layer(w, pond, tables_, params_.exchange);
+    const std::vector<wind::Air> layers = wind::air_by_layer(w, pond, tables_, params_.exchange);
     parallel_for_range(
         n,
         [&](std::size_t begin, std::size_t end) {
@@ -464,57 +483,57 @@ void Climate::advance(std::size_t index, std::vector<double>& water, std::span<c
         4096);
 
     // Rain, and what runs on.
-    std::vector<double> rain(n, w.precipitation);
-    if (*params_.rain_shelter)
-        for (std::size_t i = 0; i < n; ++i)
-            rain[i] *= double(coefficients_.rain_exposure[i]);
-    const double stored =
-        parallel_sum(n, [&](std::size_t i) { return water[i] * double(cells_.area[i]); });
-    day.rainfall = parallel_sum(n, [&](std::size_t i) { return rain[i] * double(cells_.area[i]); });
+    std::vector<double>& rain = day.rainfall_on;
+    rain.resize(n);
+    const bool shelter = *params_.rain_shelter;
+    const auto before = sums(n, [&](std::size_t i) {
+        const double area = double(cells_.area[i]);
+        rain[i] = w.precipitation * (shelter ? double(coefficients_.rain_exposure[i]) : 1.0);
+        return std::array{water[i] * area, rain[i] * area};
+    });
+    const double stored = before[0];
+    day.rainfall = before[1];
     double outflow = 0;
     if (*params_.runoff) {
         soil::route_rain(paths_, cells_.area, capacity_, water, rain, day.rain);
         outflow = day.rain.outflow;
     } else {
-        day.rain.supply = std::move(rain);
+        day.rain.supply = rain;
         day.rain.run.assign(n, 0);
     }
 
-    soil::Inputs inputs{.water = water,
-                        .light = day.light.total,
-                        .temperature = day.air_temperature,
-                        .humidity = day.air_humidity,
-                        .rain = day.rain.supply,
-                        .wind = day.wind,
-                        .sky_view = 1.0f,
-                        .cover = 0.0f,
-                        .depth = depth_,
-                        .soil = soil_index_,
-                        .soils = soils_,
-                        .air = {.sunshine = w.possible_sunshine > 0
-                                                ? std::min(1.0, w.sunshine / w.possible_sunshine)
-                                                : 0.0,
-                                .pressure = w.pressure,
-                                .longwave = w.longwave}};
+    soil::Inputs inputs{
+        .water = water,
+        .light = day.light.total,
+        .temperature = day.air_temperature,
+        .humidity = day.air_humidity,
+        .rain = day.rain.supply,
+        .wind = day.wind,
+        .sky_view = 1.0f,
+        .cover = 0.0f,
+        .depth = depth_,
+        .soil = soil_index_,
+        .soils = soils_,
+        .air = {.sunshine =
+                    w.possible_sunshine > 0 ? std::min(1.0, w.sunshine / w.possible_sunshine) : 0.0,
+                .pressure = w.pressure,
+                .longwave = w.longwave}};
     if (*params_.sky_view) inputs.sky_view = coefficients_.sky_view;
     if (!cover.empty()) inputs.cover = cover;
     soil::run(inputs, params_.ground, day.ground, progress);
 
     // What route_rain() sent on was not kept: soil::run() found the same excess, plus dew's.
-    const double left = parallel_sum(
-        n, [&](std::size_t i) { return day.ground.water[i] * double(cells_.area[i]); });
-    day.evaporation = parallel_sum(
-        n, [&](std::size_t i) { return day.ground.evaporation[i] * double(cells_.area[i]); });
-    const double excess = parallel_sum(n, [&](std::size_t i) {
-        return (day.ground.runoff[i] - day.rain.run[i]) * double(cells_.area[i]);
+    const auto after = sums(n, [&](std::size_t i) {
+        const double area = double(cells_.area[i]);
+        return std::array{day.ground.water[i] * area, day.ground.evaporation[i] * area,
+                          (day.ground.runoff[i] - day.rain.run[i]) * area,
+                          day.rain.supply[i] * area};
     });
-    day.outflow = outflow + excess;
-    const double came = stored + day.rainfall;
-    day.balance_error = (stored + day.rainfall - left - day.evaporation - day.outflow) /
-                        std::max(came, area_);
-    day.inflow = parallel_sum(n, [&](std::size_t i) {
-        return day.rain.supply[i] * double(cells_.area[i]);
-    }) - day.rainfall;
+    day.evaporation = after[1];
+    day.outflow = outflow + after[2];
+    day.balance_error = (stored + day.rainfall - after[0] - day.evaporation - day.outflow) /
+                        std::max(stored + day.rainfall, area_);
+    day.inflow = after[3] - day.rainfall;
     water.swap(day.ground.water);
 }
 

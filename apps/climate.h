@@ -71,7 +71,8 @@ struct ClimateDay {
     WeatherDay weather;
     light::Light light;
     std::vector<float> wind, air_temperature, air_humidity;
-    soil::Runoff rain;  ///< supply [mm]
+    std::vector<double> rainfall_on;  ///< what falls on each cell [mm]
+    soil::Runoff rain;                ///< supply: that and what runs onto it [mm]
     soil::Result ground;
     double rainfall = 0, inflow = 0, evaporation = 0, outflow = 0;  ///< of the surface [mm m^2]
     double balance_error = 0;  ///< water that is not accounted for / water that came
@@ -94,6 +95,7 @@ public:
     const std::vector<std::int32_t>& geology() const { return geology_; }
     const std::vector<float>& depth() const { return depth_; }  ///< h [mm]
     const std::vector<soil::Soil>& soils() const { return soils_; }
+    double area() const { return area_; }  ///< of all cells [m^2]
     bool has_wind() const { return has_wind_; }
     const wind::AirTables& tables() const { return tables_; }
     const light::Coefficients& coefficients() const { return coefficients_; }
@@ -111,7 +113,6 @@ public:
 private:
     ClimateParams params_;
     SurfaceCells cells_;
-    std::vector<Vec3d> origin_;  ///< where the cells' rays start
     Weather weather_;
     Site site_;
     light::Coefficients coefficients_;

@@ -13,9 +13,9 @@
 namespace sekitei::apps {
 namespace {
 
-constexpr float kShade = 80;       // W/m^2
+constexpr float kShade = 80;        // W/m^2
 constexpr double kLowHeight = 0.5;  // m
-constexpr float kNorth = 0.5f;     // of the normal's y
+constexpr float kNorth = 0.5f;      // of the normal's y
 
 /// Columns of a row, in this order.
 enum {
@@ -43,16 +43,28 @@ enum {
     kColumns
 };
 
-/// Area-weighted mean of value(i) over the cells that `mask` marks; 0 where there are none.
-template <class F>
-double mean_over(const SurfaceCells& cells, const std::vector<std::uint8_t>* mask, F&& value)
+/// What a cell counts as.
+enum : std::uint8_t { kIsShade = 1, kIsNorth = 2, kIsLow = 4 };
+
+/// Sums that belong to one pass over the cells, in a fixed order.
+template <std::size_t N, class F>
+std::array<double, N> sums_over(std::size_t count, F&& add)
 {
-    const double area = parallel_sum(cells.size(), [&](std::size_t i) {
-        return mask && !(*mask)[i] ? 0.0 : double(cells.area[i]);
-    });
-    const double sum = parallel_sum(cells.size(), [&](std::size_t i) {
-        return mask && !(*mask)[i] ? 0.0 : double(cells.area[i]) * double(value(i));
-    });
+    return parallel_fold(
+        count, 1024, std::array<double, N>{},
+        [&](std::size_t begin, std::size_t end) {
+            std::array<double, N> sum{};
+            for (std::size_t i = begin; i != end; ++i) add(i, sum);
+            return sum;
+        },
+        [](std::array<double, N> a, const std::array<double, N>& b) {
+            for (std::size_t k = 0; k < N; ++k) a[k] += b[k];
+            return a;
+        });
+}
+
+double share_of(double sum, double area)
+{
     return area > 0 ? sum / area : 0;
 }
 
@@ -60,47 +72,49 @@ double mean_over(const SurfaceCells& cells, const std::vector<std::uint8_t>* mas
 
 GroundMeans::GroundMeans(const Climate& climate) : climate_(&climate)
 {
-    for (auto& sum : sum_) sum.assign(climate.cells().size(), 0);
+    for (auto& mean : mean_) mean.assign(climate.cells().size(), 0);
 }
 
 void GroundMeans::add(const ClimateDay& day, const std::vector<double>& water)
 {
     const auto& depth = climate_->depth();
+    const double share = 1 / static_cast<double>(++days_);
     parallel_for(
         depth.size(),
         [&](std::size_t i) {
-            sum_[kTheta][i] += water[i] / double(depth[i]);
-            sum_[kBeta][i] += double(day.ground.beta[i]);
-            sum_[kTemperature][i] += double(day.ground.temperature[i]);
-            sum_[kHumidity][i] += double(day.ground.humidity[i]);
-            sum_[kEvaporation][i] += day.ground.evaporation[i];
-            sum_[kRunoff][i] += std::max(day.ground.runoff[i], day.rain.run[i]);
+            auto add = [&](int k, double value) {
+                float& mean = mean_[std::size_t(k)][i];
+                mean = static_cast<float>(double(mean) + (value - double(mean)) * share);
+            };
+            add(kTheta, water[i] / double(depth[i]));
+            add(kBeta, double(day.ground.beta[i]));
+            add(kTemperature, double(day.ground.temperature[i]));
+            add(kHumidity, double(day.ground.humidity[i]));
+            add(kEvaporation, day.ground.evaporation[i]);
+            add(kRunoff, std::max(day.ground.runoff[i], day.rain.run[i]));
         },
         4096);
-    ++days_;
 }
 
 void GroundMeans::put(Scene& scene, const std::string& stage) const
 {
     static constexpr std::pair<const char*, const char*> kNames[kCount] = {
-        {"soil_theta", ""}, {"soil_beta", ""},       {"soil_Ts", "K"},
+        {"soil_theta", ""}, {"soil_beta", ""},    {"soil_Ts", "K"},
         {"soil_rh", ""},    {"soil_E", "mm/day"}, {"soil_runoff", "mm/day"}};
-    const double n = std::max<double>(1, double(days_));
-    for (int k = 0; k < kCount; ++k) {
-        std::vector<float> mean(sum_[std::size_t(k)].size());
-        for (std::size_t i = 0; i < mean.size(); ++i)
-            mean[i] = static_cast<float>(sum_[std::size_t(k)][i] / n);
-        scene.put(kNames[k].first, climate_->cells().to_grid(mean), kNames[k].second, stage);
-    }
+    for (int k = 0; k < kCount; ++k)
+        scene.put(kNames[k].first, climate_->cells().to_grid(mean_[std::size_t(k)]),
+                  kNames[k].second, stage);
 }
 
 Json GroundMeans::summary() const
 {
-    const SurfaceCells& cells = climate_->cells();
-    const double n = std::max<double>(1, double(days_));
+    const auto& area = climate_->cells().area;
     auto mean = [&](int k) {
-        return mean_over(cells, nullptr,
-                         [&](std::size_t i) { return sum_[std::size_t(k)][i] / n; });
+        return parallel_sum(area.size(),
+                            [&](std::size_t i) {
+                                return double(area[i]) * double(mean_[std::size_t(k)][i]);
+                            }) /
+               climate_->area();
     };
     return {{"mean_temperature", mean(kTemperature)},
             {"mean_humidity", mean(kHumidity)},
@@ -111,18 +125,18 @@ Json GroundMeans::summary() const
 std::vector<double> GroundMeans::save() const
 {
     std::vector<double> all{double(days_)};
-    for (const auto& sum : sum_) all.insert(all.end(), sum.begin(), sum.end());
+    for (const auto& mean : mean_) all.insert(all.end(), mean.begin(), mean.end());
     return all;
 }
 
 void GroundMeans::restore(const std::vector<double>& saved)
 {
-    const std::size_t n = sum_[0].size();
+    const std::size_t n = mean_[0].size();
     if (saved.size() != 1 + kCount * n)
         throw InvalidInput("checkpoint: the means are of another number of cells");
     days_ = static_cast<std::size_t>(saved[0]);
     for (std::size_t k = 0; k < kCount; ++k)
-        std::copy_n(saved.begin() + std::ptrdiff_t(1 + k * n), n, sum_[k].begin());
+        for (std::size_t i = 0; i < n; ++i) mean_[k][i] = static_cast<float>(saved[1 + k * n + i]);
 }
 
 void put_water(Scene& scene, const Climate& climate, const std::vector<double>& water,
@@ -177,52 +191,71 @@ Statistics::Statistics(int species) : species_(species) {}
 
 void Statistics::choose(const SurfaceCells& cells, std::span<const float> mean_light, double ground)
 {
-    shade_.resize(cells.size());
-    north_.resize(cells.size());
-    low_.resize(cells.size());
+    kind_.resize(cells.size());
+    shade_area_ = north_area_ = low_area_ = 0;
     for (std::size_t i = 0; i < cells.size(); ++i) {
-        shade_[i] = mean_light[i] < kShade;
-        north_[i] = cells.normal[i].y > kNorth;
-        low_[i] = shade_[i] && cells.position[i].z < ground + kLowHeight;
+        const bool shade = mean_light[i]<kShade, north = cells.normal[i].y> kNorth,
+                   low = cells.position[i].z < ground + kLowHeight;
+        kind_[i] = static_cast<std::uint8_t>((shade ? kIsShade : 0) | (north ? kIsNorth : 0) |
+                                             (low ? kIsLow : 0));
+        if (shade) shade_area_ += double(cells.area[i]);
+        if (north) north_area_ += double(cells.area[i]);
+        if (shade && low) low_area_ += double(cells.area[i]);
     }
 }
 
 void Statistics::add(int number, const Climate& climate, const ClimateDay& day,
-                     const std::vector<double>& water, const moss::DayStatistics* mosses,
-                     std::span<const std::vector<float>> fitness)
+                     const std::vector<double>& water, const MossDay& mosses)
 {
     const SurfaceCells& cells = climate.cells();
+    const double area = climate.area();
     double row[kColumns] = {};
     row[kDay] = number;
     row[kSpecies] = -1;
     row[kDirection] = day.weather.wind_direction;
-    auto mean = [&](auto&& value) { return mean_over(cells, nullptr, value); };
-    row[kLight] = mean([&](std::size_t i) { return day.light.total[i]; });
-    row[kTemperature] = mean([&](std::size_t i) { return day.ground.temperature[i]; });
-    auto humidity = [&](std::size_t i) { return day.ground.humidity[i]; };
-    row[kHumidity] = mean(humidity);
-    row[kHumidityNorth] = north_.empty() ? 0 : mean_over(cells, &north_, humidity);
-    row[kTheta] = mean([&](std::size_t i) { return water[i] / double(climate.depth()[i]); });
-    row[kEvaporation] = mean([&](std::size_t i) { return day.ground.evaporation[i]; });
-    const double area = parallel_sum(cells.size(), [&](std::size_t i) { return double(cells.area[i]); });
+    auto kind = [&](std::size_t i) { return kind_.empty() ? std::uint8_t(0) : kind_[i]; };
+    const auto ground = sums_over<6>(cells.size(), [&](std::size_t i, std::array<double, 6>& sum) {
+        const double a = double(cells.area[i]), humidity = a * double(day.ground.humidity[i]);
+        sum[0] += a * double(day.light.total[i]);
+        sum[1] += a * double(day.ground.temperature[i]);
+        sum[2] += humidity;
+        if (kind(i) & kIsNorth) sum[3] += humidity;
+        sum[4] += a * water[i] / double(climate.depth()[i]);
+        sum[5] += a * day.ground.evaporation[i];
+    });
+    row[kLight] = ground[0] / area;
+    row[kTemperature] = ground[1] / area;
+    row[kHumidity] = ground[2] / area;
+    row[kHumidityNorth] = share_of(ground[3], north_area_);
+    row[kTheta] = ground[4] / area;
+    row[kEvaporation] = ground[5] / area;
     row[kPrecipitation] = day.rainfall / area;
     row[kRunoff] = day.outflow / area;
     row[kBalance] = day.balance_error;
     largest_error_ = std::max(largest_error_, std::abs(day.balance_error));
     if (species_ == 0) rows_.insert(rows_.end(), row, row + kColumns);
     for (int s = 0; s < species_; ++s) {
-        const moss::SpeciesDay& of = mosses->species[std::size_t(s)];
-        const std::vector<float>& g = fitness[std::size_t(s)];
-        auto value = [&](std::size_t i) { return g[i]; };
+        const moss::SpeciesDay& of = mosses.numbers->species[std::size_t(s)];
+        const std::vector<float>& g = mosses.fitness[std::size_t(s)];
+        const auto sums =
+            sums_over<4>(cells.size(), [&](std::size_t i, std::array<double, 4>& sum) {
+                const double a = double(cells.area[i]), fit = a * double(g[i]);
+                const std::uint8_t k = kind(i);
+                sum[0] += fit;
+                if (k & kIsShade) sum[1] += fit;
+                if ((k & kIsShade) && (k & kIsLow)) sum[2] += fit;
+                if ((k & kIsLow) && mosses.species[i] == s + 1) sum[3] += a;
+            });
         row[kSpecies] = s;
         row[kLiving] = double(of.living);
         row[kSeeds] = double(of.seeds);
         row[kGerminated] = double(of.germinated);
         row[kDied] = double(of.died + of.displaced);
         row[kCover] = of.area;
-        row[kFitness] = mean(value);
-        row[kFitnessShade] = shade_.empty() ? 0 : mean_over(cells, &shade_, value);
-        row[kFitnessLow] = low_.empty() ? 0 : mean_over(cells, &low_, value);
+        row[kFitness] = sums[0] / area;
+        row[kFitnessShade] = share_of(sums[1], shade_area_);
+        row[kFitnessLow] = share_of(sums[2], low_area_);
+        row[kCoverLow] = sums[3];
         rows_.insert(rows_.end(), row, row + kColumns);
     }
 }
@@ -243,8 +276,7 @@ Points Statistics::points(const std::string& stage) const
     points.position.assign(n, Vec3d());
     for (int c = 0; c < kColumns; ++c) {
         std::vector<double> column(n);
-        for (std::size_t r = 0; r < n; ++r)
-            column[r] = rows_[r * kColumns + std::size_t(c)];
+        for (std::size_t r = 0; r < n; ++r) column[r] = rows_[r * kColumns + std::size_t(c)];
         points.attributes[columns()[std::size_t(c)].name] = std::move(column);
     }
     points.stage = stage;
@@ -273,10 +305,9 @@ std::string statistics_csv(const Points& statistics, const std::vector<std::stri
             if (c > 0) text += ',';
             const double value = (*columns[c])[r];
             if (c == kSpecies)
-                text += value < 0 ? "ground"
-                        : std::size_t(value) < species.size()
-                            ? species[std::size_t(value)]
-                            : fmt::format("{}", value);
+                text += value < 0                             ? "ground"
+                        : std::size_t(value) < species.size() ? species[std::size_t(value)]
+                                                              : fmt::format("{}", value);
             else
                 text += fmt::format("{:.9g}", value);
         }
@@ -321,9 +352,9 @@ moss::Species find_species(const std::string& name, const std::filesystem::path&
         names.push_back(species.name);
     }
     const std::string near = nearest_name(name, names);
-    throw InvalidParameter(fmt::format(
-        "species = {}: no such species, expected one of {} or a .toml file{}", name,
-        fmt::join(names, ", "), near.empty() ? "" : "; did you mean '" + near + "'?"));
+    throw InvalidParameter(
+        fmt::format("species = {}: no such species, expected one of {} or a .toml file{}", name,
+                    fmt::join(names, ", "), near.empty() ? "" : "; did you mean '" + near + "'?"));
 }
 
 std::vector<std::string> species_names(const Scene& scene)

@@ -5,10 +5,26 @@
 #include <vector>
 
 #include "apps/climate.h"
+#include "core/parallel.h"
 #include "solvers/moss/population.h"
 
 /// What a run over many days leaves behind: means of the ground, and a row of numbers a day.
 namespace sekitei::apps {
+
+/// Takes one more day into means of `count` days, the new one included. A mean kept so stays good
+/// to 1e-6 of its size in 4 bytes, however many days there are.
+template <class F>
+void add_to_mean(std::vector<float>& mean, std::size_t count, F&& value)
+{
+    const double share = 1 / static_cast<double>(count);
+    parallel_for(
+        mean.size(),
+        [&](std::size_t i) {
+            const double before = double(mean[i]);
+            mean[i] = static_cast<float>(before + (double(value(i)) - before) * share);
+        },
+        8192);
+}
 
 /// Means over days of what each cell meets.
 class GroundMeans {
@@ -21,7 +37,7 @@ public:
     Json summary() const;
     std::size_t days() const { return days_; }
 
-    /// The sums, for checkpoints.
+    /// The means, for checkpoints.
     std::vector<double> save() const;
     void restore(const std::vector<double>& saved);
 
@@ -29,7 +45,7 @@ private:
     enum { kTheta, kBeta, kTemperature, kHumidity, kEvaporation, kRunoff, kCount };
     const Climate* climate_;
     std::size_t days_ = 0;
-    std::array<std::vector<double>, kCount> sum_;
+    std::array<std::vector<float>, kCount> mean_;
 };
 
 /// soil_water [mm] at the end, geology, soil_h [mm].
@@ -39,6 +55,13 @@ void put_water(Scene& scene, const Climate& climate, const std::vector<double>& 
 /// Metadata of the grids of these names that are there: `day` (the last one), `profile`, `seed`.
 void label(Scene& scene, const std::vector<std::string>& names, std::size_t day, Profile profile,
            std::uint64_t seed);
+
+/// The mosses of one day, as Statistics counts them.
+struct MossDay {
+    const moss::DayStatistics* numbers = nullptr;
+    std::span<const std::uint8_t> species{};  ///< of each cell's moss, from 1; 0: none
+    std::span<const std::vector<float>> fitness{};
+};
 
 /// One column of `statistics`.
 struct Column {
@@ -55,12 +78,13 @@ public:
 
     /// @param species  how many; 0: rows of the ground alone
     explicit Statistics(int species);
-    /// @param mean_light  light_S of each cell; empty: no means of shade
+    /// Says which cells are shady, face north and lie low; until then those columns are 0.
+    /// @param mean_light  light_S of each cell
+    /// @param ground      height of the ground [m]
     void choose(const SurfaceCells& cells, std::span<const float> mean_light, double ground);
 
     void add(int day, const Climate& climate, const ClimateDay& today,
-             const std::vector<double>& water, const moss::DayStatistics* mosses,
-             std::span<const std::vector<float>> fitness);
+             const std::vector<double>& water, const MossDay& mosses);
 
     Points points(const std::string& stage) const;
     double largest_balance_error() const { return largest_error_; }
@@ -70,7 +94,8 @@ public:
 
 private:
     int species_;
-    std::vector<std::uint8_t> shade_, north_, low_;
+    std::vector<std::uint8_t> kind_;  ///< bits: shade, north, low
+    double shade_area_ = 0, north_area_ = 0, low_area_ = 0;
     std::vector<double> rows_;
     double largest_error_ = 0;
 };

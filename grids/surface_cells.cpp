@@ -374,6 +374,7 @@ SurfaceCells surface_cells(const FloatGrid& surface, const Progress& progress,
             "average, must be about 1, and {:.0f} of {} cells lie deeper than 1.75 voxels; if a "
             "box cuts the body, give its box",
             mean, deep, count));
+    for (float& depth : cells.sdf) depth = std::max(depth, -static_cast<float>(voxel));
 
     join_neighbours(cells, first, progress.slice(0.7, 1));
     return cells;
@@ -411,7 +412,7 @@ SurfaceCells surface_cells(const FloatGrid& surface, const VectorGrid& normal,
             cells.voxel[i] = c;
             cells.position[i] = cells.transform.world(centre_of(c));
             cells.normal[i] = facing.value(c);
-            cells.sdf[i] = depth.value(c);
+            cells.sdf[i] = std::max(depth.value(c), -static_cast<float>(cells.transform.voxel));
             cells.area[i] = area.at(k, o);
             if (!(cells.area[i] > 0) || !(std::abs(length(cells.normal[i]) - 1) < 1e-3))
                 throw InvalidInput(

@@ -19,7 +19,9 @@ struct SurfaceCells {
     std::vector<Coord> voxel;
     std::vector<Vec3d> position;  ///< centres, world [m]
     std::vector<Vec3f> normal;    ///< normalised sdf gradient, outwards
-    std::vector<float> sdf;       ///< at the centre [m], negative
+    /// At the centre [m], from -dx to 0: with air beside it a cell cannot lie deeper, whatever a
+    /// level set says where it is no distance (slabs of one voxel).
+    std::vector<float> sdf;
     std::vector<float> area;      ///< dx^2 / max |n_k| [m^2], exact for planes
     IntGrid index;                ///< cell number at each surface voxel, background -1
 

@@ -1,8 +1,8 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <limits>
 #include <cmath>
+#include <limits>
 
 #include "apps/habitat.h"
 #include "apps/stages/stages.h"
@@ -35,9 +35,10 @@ Habitat habitat_of(const std::string& name, const Scene& scene)
                                  ? nullptr
                                  : std::get_if<std::vector<double>>(&found->second);
         if (!values)
-            throw InvalidInput(fmt::format("compare: {}: the points 'statistics' have no column "
-                                           "'{}'; run the moss stage",
-                                           name, column_name));
+            throw InvalidInput(
+                fmt::format("compare: {}: the points 'statistics' have no column "
+                            "'{}'; run the moss stage",
+                            name, column_name));
         return *values;
     };
     const auto &who = column("species"), &day = column("day"), &from = column("wind_direction");
@@ -89,6 +90,15 @@ struct Line {
     }
 };
 
+/// Text as a cell of comma-separated values.
+std::string cell(const std::string& text)
+{
+    if (text.find_first_of(",\"\n") == std::string::npos) return text;
+    std::string quoted = "\"";
+    for (const char c : text) quoted += c == '"' ? std::string("\"\"") : std::string(1, c);
+    return quoted + '"';
+}
+
 class CompareStage : public Stage {
 public:
     const StageInfo& info() const override
@@ -135,8 +145,9 @@ public:
                 line.first != 0 ? fmt::format("{:.3f}", line.value / line.first) : "";
             log::info("{:<36} {:<14} {:>10.5g} {:>10.5g} {:>8}  {:<14} {}", line.measure,
                       line.scene, line.value, line.first, ratio, line.expected(), verdict);
-            table += fmt::format("{},{},{:.9g},{:.9g},{},{},{}\n", line.measure, line.scene,
-                                 line.value, line.first, ratio, line.expected(), verdict);
+            table +=
+                fmt::format("{},{},{:.9g},{:.9g},{},{},{}\n", cell(line.measure), cell(line.scene),
+                            line.value, line.first, ratio, line.expected(), verdict);
         }
         return {{"expectations", bounded}, {"held", held}};
     }
@@ -187,18 +198,14 @@ private:
              : pond ? 1.01
                     : none,
              any);
-        line("the same, west wind", other.fitness_shade_west, first.fitness_shade_west,
-             pond ? 1.04 : none, any);
+        line("fitness G, S < 80 W/m2, west wind", other.fitness_shade_west,
+             first.fitness_shade_west, pond ? 1.04 : none, any);
         const bool layers = other.tables && !other.tables->layers.empty();
         line("fitness G, below 0.5 m", other.fitness_low, first.fitness_low,
              pond && layers ? 1.05 : none, any);
-        line("the same, west wind", other.fitness_low_west, first.fitness_low_west,
+        line("fitness G, below 0.5 m, west wind", other.fitness_low_west, first.fitness_low_west,
              pond && layers ? 1.15 : none, any);
-        line("living cover [m2]", other.cover, first.cover,
-             fence  ? 1.05
-             : pond ? 1.01
-                    : none,
-             any);
+        line("living cover [m2]", other.cover, first.cover, fence ? 1.05 : pond ? 1.01 : none, any);
     }
 };
 

@@ -141,19 +141,21 @@ public:
         const FloatGrid& level_set = scene.floats("surface_sdf");
         const moss::Surface surface = moss::surface_of(cells);
         const moss::CellLanding landing(level_set, cells);
-        State now{moss::first_settlers(community, surface), climate.initial_water(),
-                  GroundMeans(climate), Statistics(int(species.size())),
-                  std::vector<std::vector<double>>(species.size(), std::vector<double>(n)), {}};
+        State now{moss::first_settlers(community, surface),
+                  climate.initial_water(),
+                  GroundMeans(climate),
+                  Statistics(int(species.size())),
+                  std::vector<std::vector<float>>(species.size(), std::vector<float>(n)),
+                  std::vector<float>(n)};
         if (scene.has("soil_water")) {
             const std::vector<float> water = cells.from_grid(scene.floats("soil_water"), 0);
             now.water.assign(water.begin(), water.end());
         }
         const double floor = scene.domain.dims.z > 0 ? scene.domain.transform.origin.z : 0;
         now.statistics.choose(cells, cells.from_grid(scene.floats("light_S"), 0), floor);
-        const fs::path file = params_.checkpoint.empty()
-                                  ? context.checkpoint
-                                  : resolve(context, params_.checkpoint);
-        const std::string recipe = file.empty() ? "" : identity(scene, days);
+        const fs::path file =
+            params_.checkpoint.empty() ? context.checkpoint : resolve(context, params_.checkpoint);
+        const std::string recipe = file.empty() ? "" : identity(scene, climate, species, days);
         if (!file.empty() && fs::exists(file)) restore(now, file, recipe, n, context);
 
         ClimateDay day;
@@ -164,17 +166,16 @@ public:
             for (std::size_t s = 0; s < species.size(); ++s) {
                 moss::fitness(species[s], rules_, day.ground.temperature, day.ground.humidity,
                               day.light.total, fitness[s], progress.slice(1, 1));
-                parallel_for(
-                    n, [&](std::size_t i) { now.fitness[s][i] += double(fitness[s][i]); }, 8192);
+                add_to_mean(now.fitness[s], d + 1, [&, s](std::size_t i) { return fitness[s][i]; });
             }
             const double from = day.weather.wind_direction * math::kPi / 4;
-            const moss::DayStatistics mosses =
-                moss::day(now.population, community, surface, landing,
-                          {fitness, day.wind, {-math::sin(from), -math::cos(from), 0}},
-                          progress.slice(1, 1));
+            const moss::DayStatistics mosses = moss::day(
+                now.population, community, surface, landing,
+                {fitness, day.wind, {-math::sin(from), -math::cos(from), 0}}, progress.slice(1, 1));
             now.means.add(day, now.water);
-            now.statistics.add(int(d) + 1, climate, day, now.water, &mosses, fitness);
-            now.humidity = day.ground.humidity;
+            now.statistics.add(int(d) + 1, climate, day, now.water,
+                               {&mosses, now.population.species, fitness});
+            now.humidity.swap(day.ground.humidity);
             const int done = int(d) + 1;
             const int every = static_cast<int>(std::lround(params_.every));
             if (every > 0 && context.frame && (done % every == 0 || done == int(days))) {
@@ -200,9 +201,9 @@ public:
         summary["cells"] = n;
         summary["days"] = days;
         for (std::size_t s = 0; s < species.size(); ++s)
-            summary[species[s].name] = fmt::format("{} living, {:.3g} of the surface",
-                                                   last.species[s].living,
-                                                   last.species[s].area / area);
+            summary[species[s].name] =
+                fmt::format("{} living, {:.3g} of the surface", last.species[s].living,
+                            last.species[s].area / area);
         summary["largest_balance_error"] = now.statistics.largest_balance_error();
         if (!climate.has_wind()) summary["wind"] = "as in the weather: no wind stage ran";
         return summary;
@@ -215,21 +216,36 @@ private:
         std::vector<double> water;
         GroundMeans means;
         Statistics statistics;
-        std::vector<std::vector<double>> fitness;  ///< sums of G
-        std::vector<float> humidity;               ///< rh_s of the last day
+        std::vector<std::vector<float>> fitness;  ///< mean G
+        std::vector<float> humidity;              ///< rh_s of the last day
     };
 
-    /// What a checkpoint belongs to, apart from the seed.
-    std::string identity(const Scene& scene, std::size_t days)
+    /// What a checkpoint belongs to, apart from the seed: JSON with a name for each part, so that a
+    /// refusal tells which differ.
+    std::string identity(const Scene& scene, const Climate& climate,
+                         const std::vector<moss::Species>& species, std::size_t days)
     {
         Json all = params_json(params());
-        all.erase("checkpoint");
+        for (const char* free : {"checkpoint", "every", "species"}) all.erase(free);
         all["days"] = days;
-        if (const Json* soil = params_of(scene, "soil")) all["soil"] = *soil;
-        all["surface"] = content_hash(scene.grids.at("surf_area"));
-        all["daylight"] = content_hash(scene.points_of("daylight"));
-        all["weather"] = content_hash(scene.points_of("weather"));
-        return hash_hex(all.dump());
+        all["light_gate"] = rules_.light_gate;
+        for (moss::Species kind : species)
+            all["species " + kind.name] = hash_hex(params_json(describe_params(kind)).dump());
+        if (const Json* soil = params_of(scene, "soil")) all["soil"] = hash_hex(soil->dump());
+        std::string soils;
+        for (soil::Soil kind : climate.soils()) soils += params_json(describe_params(kind)).dump();
+        all["soils"] = hash_hex(soils);
+        std::string wind;
+        for (int k = 0; k < 8 && climate.has_wind(); ++k)
+            wind += content_hash(scene.grids.at(fmt::format("wind_ratio_{}", k)));
+        if (climate.has_wind()) wind += content_hash(scene.points_of("air_tables"));
+        all["wind"] = hash_hex(wind);
+        for (const char* name : {"surface_sdf", "surf_normal", "surf_area", "sky_view",
+                                 "rain_exposure", "light_S", "geology", "soil_h", "soil_water"})
+            if (scene.has(name)) all[name] = content_hash(scene.grids.at(name));
+        for (const char* name : {"daylight", "weather"})
+            all[name] = content_hash(scene.points_of(name));
+        return all.dump();
     }
 
     static moss::Checkpoint checkpoint(const State& now, const std::string& recipe,
@@ -241,20 +257,21 @@ private:
         c.fields["statistics"] = now.statistics.save();
         c.fields["humidity"].assign(now.humidity.begin(), now.humidity.end());
         for (std::size_t s = 0; s < now.fitness.size(); ++s)
-            c.fields[fmt::format("fitness_{}", s)] = now.fitness[s];
+            c.fields[fmt::format("fitness_{}", s)].assign(now.fitness[s].begin(),
+                                                          now.fitness[s].end());
         return c;
     }
 
     static void restore(State& now, const fs::path& file, const std::string& recipe,
                         std::size_t cells, const StageContext& context)
     {
-        moss::Checkpoint c = moss::decode(read_file(file, 1ull << 36), file.string(), context.seed,
-                                          recipe, cells);
+        moss::Checkpoint c =
+            moss::decode(read_file(file, 1ull << 36), file.string(), context.seed, recipe, cells);
         auto field = [&](const std::string& name) -> std::vector<double>& {
             const auto found = c.fields.find(name);
             if (found == c.fields.end())
-                throw InvalidInput(fmt::format("{}: the checkpoint has no field '{}'",
-                                               file.string(), name));
+                throw InvalidInput(
+                    fmt::format("{}: the checkpoint has no field '{}'", file.string(), name));
             return found->second;
         };
         now.population = std::move(c.population);
@@ -262,8 +279,10 @@ private:
         now.means.restore(field("means"));
         now.statistics.restore(field("statistics"));
         now.humidity.assign(field("humidity").begin(), field("humidity").end());
-        for (std::size_t s = 0; s < now.fitness.size(); ++s)
-            now.fitness[s] = field(fmt::format("fitness_{}", s));
+        for (std::size_t s = 0; s < now.fitness.size(); ++s) {
+            const std::vector<double>& mean = field(fmt::format("fitness_{}", s));
+            now.fitness[s].assign(mean.begin(), mean.end());
+        }
         log::info("moss: going on from day {} of {}", now.population.day, file.string());
     }
 
@@ -281,13 +300,9 @@ private:
         scene.put("seed_kind", cells.to_grid(moss::seed_kind(now.population)), "moss");
         scene.put("seed_species", cells.to_grid(moss::seed_species(now.population)), "moss");
         scene.put("seed_age", cells.to_grid(moss::seed_age(now.population)), "moss");
-        const double days = std::max(1, now.population.day);
-        for (std::size_t s = 0; s < community.species.size(); ++s) {
-            std::vector<float> mean(cells.size());
-            for (std::size_t i = 0; i < mean.size(); ++i)
-                mean[i] = static_cast<float>(now.fitness[s][i] / days);
-            scene.put("suit_" + community.species[s].name, cells.to_grid(mean), "", "moss");
-        }
+        for (std::size_t s = 0; s < community.species.size(); ++s)
+            scene.put("suit_" + community.species[s].name, cells.to_grid(now.fitness[s]), "",
+                      "moss");
         scene.points["moss"] =
             moss::to_points(now.population, community, surface, &level_set, now.humidity);
         scene.points["moss"].stage = "moss";

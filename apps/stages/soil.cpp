@@ -11,17 +11,16 @@ class SoilStage : public Stage {
 public:
     const StageInfo& info() const override
     {
-        static const StageInfo kInfo{
-            "soil",
-            "1",
-            "warmth, humidity and water of bare ground, day by day",
-            OutputKind::Scene,
-            true,
-            climate_needs(),
-            {"geology", "soil_h", "soil_water", "soil_theta", "soil_beta", "soil_Ts", "soil_rh",
-             "soil_E", "soil_runoff", "statistics"},
-            false,
-            {"light"}};
+        static const StageInfo kInfo{"soil",
+                                     "1",
+                                     "warmth, humidity and water of bare ground, day by day",
+                                     OutputKind::Scene,
+                                     true,
+                                     climate_needs(),
+                                     {"geology", "soil_h", "soil_water", "soil_theta", "soil_beta",
+                                      "soil_Ts", "soil_rh", "soil_E", "soil_runoff", "statistics"},
+                                     false,
+                                     {"light"}};
         return kInfo;
     }
     std::vector<std::string> uses() override { return climate_uses(); }
@@ -57,7 +56,7 @@ public:
         for (std::size_t d = 0; d < days; ++d) {
             climate.advance(d, water, {}, day, progress.slice(1, 1));
             means.add(day, water);
-            statistics.add(int(d) + 1, climate, day, water, nullptr, {});
+            statistics.add(int(d) + 1, climate, day, water, {});
             progress.update(double(d + 1) / double(days));
         }
         means.put(scene, "soil");

@@ -236,7 +236,9 @@ Population from_points(const Points& points, const Community& community, const S
 /// What a run needs to go on after an interruption.
 struct Checkpoint {
     std::uint64_t seed = 0;
-    std::string recipe;  ///< hash of parameters and inputs; text of any kind
+    /// Parameters and inputs it belongs to: text of any kind, best a JSON object of values and
+    /// hashes, whose members a refusal names.
+    std::string recipe;
     Population population;
     /// What other solvers carry from day to day, by name: soil water.
     std::map<std::string, std::vector<double>> fields;

@@ -309,6 +309,36 @@ Population from_points(const Points& points, const Community& community, const S
     return p;
 }
 
+namespace {
+
+/// What differs between two recipes: the members, where both are JSON objects.
+std::string difference(const std::string& before, std::string_view now)
+{
+    const Json a = Json::parse(before, nullptr, false), b = Json::parse(now, nullptr, false);
+    if (!a.is_object() || !b.is_object())
+        return fmt::format("; recipe {}, this run has {}", before, now);
+    constexpr std::size_t kHash = 32;  // whose digits tell nobody anything
+    std::string text;
+    auto add = [&](const std::string& name, const Json& x, const Json& y) {
+        if (x == y) return;
+        const Json& any = x.is_null() ? y : x;
+        if (any.is_string() && any.get_ref<const std::string&>().size() == kHash)
+            text += fmt::format("; {} {}", name,
+                                x.is_null()   ? "was not there"
+                                : y.is_null() ? "is gone"
+                                              : "is another");
+        else
+            text += fmt::format("; {} {}, this run has {}", name, x.dump(), y.dump());
+    };
+    for (const auto& [name, value] : a.items())
+        add(name, value, b.contains(name) ? b[name] : Json());
+    for (const auto& [name, value] : b.items())
+        if (!a.contains(name)) add(name, Json(), value);
+    return text;
+}
+
+}  // namespace
+
 std::string encode(const Checkpoint& c)
 {
     Writer w;
@@ -349,8 +379,7 @@ Checkpoint decode(std::string_view bytes, const std::string& where, std::uint64_
     c.recipe = r.text();
     std::string differs;
     if (c.seed != seed) differs += fmt::format("; seed {}, this run has {}", c.seed, seed);
-    if (c.recipe != recipe)
-        differs += fmt::format("; recipe {}, this run has {}", c.recipe, recipe);
+    if (c.recipe != recipe) differs += difference(c.recipe, recipe);
     Population& p = c.population;
     p.day = r.value<std::int32_t>();
     p.next_id = r.value<std::uint64_t>();

@@ -74,7 +74,8 @@ TEST(SurfaceCells, AreSolidVoxelsBesideAir)
     EXPECT_GT(expected, 5000u);
     for (std::size_t i = 0; i < cells.size(); ++i) {
         ASSERT_EQ(cells.index.value(cells.voxel[i]), static_cast<std::int32_t>(i));
-        ASSERT_EQ(cells.sdf[i], surface.value(cells.voxel[i]));
+        ASSERT_EQ(cells.sdf[i], std::max(surface.value(cells.voxel[i]),
+                                         -static_cast<float>(cells.transform.voxel)));
         ASSERT_EQ(cells.position[i], cells.transform.world(centre_of(cells.voxel[i])));
         ASSERT_NEAR(length(cells.normal[i]), 1, 1e-6);
     }
