@@ -322,6 +322,13 @@ light::Coefficients coefficients_of(const Scene& scene, const SurfaceCells& cell
         if (made->contains(p.name)) p.set((*made)[p.name]);
     c.latitude = attribute<double>(scene.points_of("weather"), "weather", "latitude").front();
     c.sites = cells.size();
+    std::size_t words = 0, links = 0;
+    for (const auto& [name, values] : points.attributes) {
+        words += name.starts_with("bits_");
+        links += name.starts_with("link_");
+    }
+    c.bits.reserve(words * cells.size());
+    c.links.reserve(links * cells.size());
     for (int w = 0; points.attributes.contains(fmt::format("bits_{:02}", w)); ++w) {
         const auto& word =
             attribute<std::int32_t>(points, "daylight", fmt::format("bits_{:02}", w));
@@ -443,6 +450,16 @@ Climate::Climate(const Scene& scene, const ClimateParams& params,
     }
 }
 
+std::size_t Climate::bytes() const
+{
+    auto size = [](const auto& v) { return v.capacity() * sizeof(v[0]); };
+    std::size_t sum = size(geology_) + size(soil_index_) + size(depth_) + size(capacity_) +
+                      size(layer_) + size(paths_.order) + size(paths_.begin) +
+                      size(paths_.target) + size(paths_.share);
+    for (const auto& ratio : wind_ratio_) sum += size(ratio);
+    return sum;
+}
+
 std::vector<double> Climate::initial_water() const
 {
     std::vector<double> water(capacity_);
@@ -483,7 +500,7 @@ void Climate::advance(std::size_t index, std::vector<double>& water, std::span<c
         4096);
 
     // Rain, and what runs on.
-    std::vector<double>& rain = day.rainfall_on;
+    std::vector<double>& rain = day.rain.supply;
     rain.resize(n);
     const bool shelter = *params_.rain_shelter;
     const auto before = sums(n, [&](std::size_t i) {
@@ -498,7 +515,6 @@ void Climate::advance(std::size_t index, std::vector<double>& water, std::span<c
         soil::route_rain(paths_, cells_.area, capacity_, water, rain, day.rain);
         outflow = day.rain.outflow;
     } else {
-        day.rain.supply = rain;
         day.rain.run.assign(n, 0);
     }
 

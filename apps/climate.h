@@ -71,8 +71,7 @@ struct ClimateDay {
     WeatherDay weather;
     light::Light light;
     std::vector<float> wind, air_temperature, air_humidity;
-    std::vector<double> rainfall_on;  ///< what falls on each cell [mm]
-    soil::Runoff rain;                ///< supply: that and what runs onto it [mm]
+    soil::Runoff rain;  ///< supply: what falls on each cell and runs onto it [mm]
     soil::Result ground;
     double rainfall = 0, inflow = 0, evaporation = 0, outflow = 0;  ///< of the surface [mm m^2]
     double balance_error = 0;  ///< water that is not accounted for / water that came
@@ -99,6 +98,9 @@ public:
     bool has_wind() const { return has_wind_; }
     const wind::AirTables& tables() const { return tables_; }
     const light::Coefficients& coefficients() const { return coefficients_; }
+
+    /// Memory of soil, wind and the water's paths, besides cells() and coefficients().
+    std::size_t bytes() const;
 
     /// Water of each cell at the start [mm].
     std::vector<double> initial_water() const;

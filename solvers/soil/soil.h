@@ -227,6 +227,7 @@ struct Runoff {
 /// sum(rain area) = sum((supply - run) area) + outflow to 1e-12 of its value.
 /// @param capacity  h porosity of each site [mm]
 /// @param water     O at yesterday's end [mm]
+/// @param rain      [mm]; may be result.supply itself
 void route_rain(const Paths& paths, std::span<const float> area, std::span<const double> capacity,
                 std::span<const double> water, const Values<double>& rain, Runoff& result);
 
