@@ -348,7 +348,8 @@ int parse_and_run(int argc, char** argv)
 {
     CLI::App program{
         "Sekitei grows natural scenery from its causes: lava cools, rock splits into columns, "
-        "weather breaks them.",
+        "weather breaks them; sun, wind and water give the surface its climate, and moss settles "
+        "where that suits it.",
         "sekitei"};
     program.set_version_flag("--version", std::string("sekitei ") + SEKITEI_VERSION);
     program.require_subcommand(1);

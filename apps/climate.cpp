@@ -10,6 +10,7 @@
 #include "apps/recipe.h"
 #include "core/error.h"
 #include "core/log.h"
+#include "core/math.h"
 #include "core/parallel.h"
 #include "core/solar_day.h"
 
@@ -49,6 +50,10 @@ constexpr std::pair<const char*, int WeatherDay::*> kWhole[] = {
     {"month", &WeatherDay::month},
     {"day", &WeatherDay::day},
     {"wind_direction", &WeatherDay::wind_direction}};
+
+/// What the solvers take, in the order of kNumbers; the day's length and the sunshine in hours.
+constexpr std::pair<double, double> kPossible[] = {{180, 340}, {0, 1},  {0, 5000}, {0, 150},
+                                                   {0, 24},    {0, 24}, {300, 1200}};
 
 constexpr int kRock = 3;
 constexpr int kOwnSoil = 100;  // geology of a soil from a file
@@ -189,6 +194,31 @@ Weather weather_of(const Scene& scene)
     }
     weather.site = Site{attribute<double>(points, "weather", "latitude").front(),
                         attribute<double>(points, "weather", "longitude").front()};
+    auto require = [](bool good, const char* name, std::size_t i, double value,
+                      const std::string& expected) {
+        if (!good)
+            throw InvalidInput(fmt::format(
+                "the points 'weather': {} = {} on day {}, must be {}; run `sekitei light` again",
+                name, value, i, expected));
+    };
+    for (std::size_t i = 0; i < weather.days.size(); ++i) {
+        for (std::size_t k = 0; k < std::size(kNumbers); ++k) {
+            const auto& [name, field] = kNumbers[k];
+            const auto [low, high] = kPossible[k];
+            const double value = weather.days[i].*field;
+            require(value >= low && value <= high, name, i, value,
+                    fmt::format("{} to {}", low, high));
+        }
+        for (const auto& [name, field] : kMeasured) {
+            const double value = attribute<double>(points, "weather", name)[i];
+            require(value == -1 || (value >= 0 && value < 1e4), name, i, value,
+                    "0 to 10000, or -1 for none");
+        }
+    }
+    require(std::abs(weather.site->latitude) <= math::kPi / 2, "latitude [rad]", 0,
+            weather.site->latitude, "-pi/2 to pi/2");
+    require(std::abs(weather.site->longitude) <= 2 * math::kPi, "longitude [rad]", 0,
+            weather.site->longitude, "-2 pi to 2 pi");
     for (std::size_t i = 0; i < weather.days.size(); ++i) {
         const int direction = weather.days[i].wind_direction;
         if (direction < 0 || direction > 7 ||
@@ -204,10 +234,7 @@ Weather weather_of(const Scene& scene)
 ParamList describe(ClimateParams& params)
 {
     ParamList list = describe_params(params);
-    for (Param& p : describe_params(params.exchange)) {
-        p.name = "exchange_" + p.name;
-        list.push_back(std::move(p));
-    }
+    for (Param& p : describe_params(params.exchange)) list.push_back(std::move(p));
     for (Param& p : describe_params(params.ground))
         if (p.name != "balance") list.push_back(std::move(p));
     return list;
@@ -225,8 +252,7 @@ soil::Soil find_soil(const std::string& name, const std::filesystem::path& folde
         const std::filesystem::path file =
             std::filesystem::path(name).is_absolute() ? std::filesystem::path(name) : folder / name;
         soil::Soil soil;
-        apply_params_file(file, describe_params(soil));
-        soil::validate(soil);
+        apply_params_file(file, describe_params(soil), [&] { soil::validate(soil); });
         return soil;
     }
     std::vector<std::string> names;
@@ -312,6 +338,15 @@ light::Coefficients coefficients_of(const Scene& scene, const SurfaceCells& cell
             fmt::format("the points 'daylight' are {}, the surface has {} cells; run `sekitei "
                         "light` on this surface",
                         points.position.size(), cells.size()));
+    for (std::size_t i = 0; i < cells.size(); ++i) {
+        const Vec3d a = points.position[i], b = cells.position[i];
+        if (length(a - b) > 0.01 * cells.transform.voxel)
+            throw InvalidInput(fmt::format(
+                "the points 'daylight': point {} lies at ({:.4g}, {:.4g}, {:.4g}) m, the cell at "
+                "({:.4g}, {:.4g}, {:.4g}) m; they are of another surface, run `sekitei light` on "
+                "this one",
+                i, a.x, a.y, a.z, b.x, b.y, b.z));
+    }
     const Json* made = params_of(scene, "light");
     if (!made)
         throw InvalidInput(
@@ -339,6 +374,15 @@ light::Coefficients coefficients_of(const Scene& scene, const SurfaceCells& cell
             attribute<std::int32_t>(points, "daylight", fmt::format("link_{:02}", k));
         c.links.insert(c.links.end(), link.begin(), link.end());
     }
+    if (c.bits.empty())
+        throw InvalidInput("the points 'daylight' have no attribute 'bits_00'; run `sekitei light`");
+    const auto count = static_cast<std::int32_t>(cells.size());
+    for (std::size_t i = 0; i < c.links.size(); ++i)
+        if (!light::link_fits(c.links[i], count))
+            throw InvalidInput(fmt::format(
+                "the points 'daylight': link_{:02} = {} at point {}, which is no cell of this "
+                "surface; run `sekitei light` on it",
+                i / cells.size(), c.links[i], i % cells.size()));
     c.sky_view = cells.from_grid(scene.floats("sky_view"), 0);
     c.rain_exposure = cells.from_grid(scene.floats("rain_exposure"), 0);
     return c;

@@ -337,13 +337,10 @@ moss::Species find_species(const std::string& name, const std::filesystem::path&
         const std::filesystem::path file =
             std::filesystem::path(name).is_absolute() ? std::filesystem::path(name) : folder / name;
         moss::Species species;
-        apply_params_file(file, describe_params(species));
-        species.name = file.stem().string();  // what grids and tables call it
-        try {
+        apply_params_file(file, describe_params(species), [&] {
+            species.name = file.stem().string();  // what grids and tables call it
             moss::validate(species);
-        } catch (const InvalidParameter& error) {
-            throw InvalidParameter(fmt::format("{}: {}", file.string(), error.what()));
-        }
+        });
         return species;
     }
     std::vector<std::string> names;

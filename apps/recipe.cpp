@@ -115,6 +115,26 @@ std::vector<Entry> in_file_order(const toml::table& table)
     return entries;
 }
 
+/// Where the key stands that a message names first, as "key = " or "key:" after the name of the
+/// process; `fallback` where it names none.
+toml::source_region place_of_blame(const toml::table& table, const std::string& process,
+                                   std::string_view message, const toml::source_region& fallback)
+{
+    if (message.starts_with(process + ": ")) message.remove_prefix(process.size() + 2);
+    std::size_t first = message.size();
+    toml::source_region place = fallback;
+    for (const auto& [key, node, source] : in_file_order(table))
+        for (const char* sign : {" = ", ":"}) {
+            const std::size_t at = message.find(key + sign);
+            const bool whole = at != std::string_view::npos &&
+                               (at == 0 || message[at - 1] == ' ' || message[at - 1] == '\n');
+            if (!whole || at >= first) continue;
+            first = at;
+            place = node->source();
+        }
+    return place;
+}
+
 /// toml++ goes as deep as dotted keys do, and so would the stack.
 void refuse_deep_keys(const std::string& text, const std::filesystem::path& file)
 {
@@ -157,11 +177,16 @@ const std::vector<std::string>& extensions_of(OutputKind kind)
         kMesh{".ply", ".obj", ".stl", ".off", ".glb", ".vdb"}, kPicture{".png"}, kTable{".csv"},
         kPoints{".ply"};
     switch (kind) {
-        case OutputKind::Mesh: return kMesh;
-        case OutputKind::Picture: return kPicture;
-        case OutputKind::Table: return kTable;
-        case OutputKind::Points: return kPoints;
-        case OutputKind::Scene: break;
+        case OutputKind::Mesh:
+            return kMesh;
+        case OutputKind::Picture:
+            return kPicture;
+        case OutputKind::Table:
+            return kTable;
+        case OutputKind::Points:
+            return kPoints;
+        case OutputKind::Scene:
+            break;
     }
     return kScene;
 }
@@ -245,7 +270,7 @@ void read_stage(const std::string& name, const toml::table& table, std::uint64_t
     try {
         draft.stage.process->validate();
     } catch (const Error& error) {
-        errors.add(table.source(), error.what());
+        errors.add(place_of_blame(table, process, error.what(), table.source()), error.what());
     }
 }
 
@@ -305,20 +330,22 @@ void check_supplies(const std::vector<Draft>& drafts, const std::vector<std::siz
         for (const std::string& parent : drafts[i].from)
             here.insert(visible[parent].begin(), visible[parent].end());
         for (const std::string& need : stage.process->needs()) {
-            const bool there =
-                many ? std::all_of(drafts[i].from.begin(), drafts[i].from.end(),
-                                   [&](const auto& parent) { return visible[parent].contains(need); })
-                     : here.contains(need);
+            const bool there = many ? std::all_of(drafts[i].from.begin(), drafts[i].from.end(),
+                                                  [&](const auto& parent) {
+                                                      return visible[parent].contains(need);
+                                                  })
+                                    : here.contains(need);
             if (there) continue;
-            std::string maker;
+            std::vector<std::string> makers;
             for (const StageInfo& info : stage_infos())
                 for (const std::string& made : info.makes)
-                    if (made == need) maker = info.name;
+                    if (made == need) makers.push_back("`" + info.name + "`");
             errors.add(
                 drafts[i].source,
-                fmt::format(
-                    "{}: needs '{}', which no stage it reads makes{}", stage.name, need,
-                    maker.empty() ? "" : fmt::format("; add a `{}` stage before it", maker)));
+                fmt::format("{}: needs '{}', which no stage it reads makes{}", stage.name, need,
+                            makers.empty() ? ""
+                                           : fmt::format("; add a {} stage before it",
+                                                         fmt::join(makers, " or "))));
         }
         if (many) here.clear();
         for (const std::string& made : stage.process->makes()) here.insert(made);
@@ -332,6 +359,13 @@ void check_writes(const std::vector<Draft>& drafts, Errors& errors)
     for (const Draft& draft : drafts) {
         const RecipeStage& stage = draft.stage;
         if (!stage.process) continue;
+        const ParamList params = stage.process->params();
+        if (const Param* every = find_param(params, "every");
+            every && every->get() != 0 && stage.write.empty())
+            errors.add(draft.source,
+                       fmt::format("{}: every = {} numbers scenes after the stage's own file, but "
+                                   "it writes none; add write = \"{}.vdb\"",
+                                   stage.name, every->value_text(), stage.name));
         for (const std::string& name : stage.write) {
             const std::filesystem::path path(name);
             const auto& allowed = extensions_of(stage.process->info().output);
@@ -493,22 +527,37 @@ void require_input_files(const Recipe& recipe, const std::vector<bool>& selected
 {
     StageContext context;
     context.folder = recipe.folder;
-    std::vector<std::string> missing;
+    std::vector<std::string> wrong;
+    ExitCode code = ExitCode::BadInput;
     for (std::size_t i = 0; i < recipe.stages.size(); ++i) {
         if (!selected[i]) continue;
         const RecipeStage& stage = recipe.stages[i];
-        for (const Param& param : stage.process->params()) {
-            if (param.kind != Param::Kind::Path) continue;
-            const std::string path = param.get().get<std::string>();
-            if (path.empty() || std::filesystem::exists(Stage::resolve(context, path))) continue;
-            missing.push_back(fmt::format("{}: {}: {} = {}: no such file", stage.place, stage.name,
-                                          param.name, Stage::resolve(context, path).string()));
+        const std::size_t before = wrong.size();
+        auto require = [&](const std::string& key, const std::filesystem::path& file) {
+            const std::filesystem::path path = Stage::resolve(context, file);
+            if (!file.empty() && !std::filesystem::exists(path))
+                wrong.push_back(fmt::format("{}: {}: {} = {}: no such file", stage.place,
+                                            stage.name, key, path.string()));
+        };
+        for (const Param& param : stage.process->params())
+            if (param.kind == Param::Kind::Path)
+                require(param.name, param.get().get<std::string>());
+        for (const std::filesystem::path& file : stage.process->files()) require("file", file);
+        if (wrong.size() > before) continue;
+        try {
+            stage.process->check_files(context);
+        } catch (const InvalidInput& error) {
+            const bool named = blames_own_file(*stage.process, context, error.what());
+            wrong.push_back(named ? error.what()
+                                  : fmt::format("{}: {}", stage.place, error.what()));
+            if (error.code() == ExitCode::Usage) code = error.code();
         }
     }
-    if (!missing.empty()) throw InvalidInput(fmt::format("{}", fmt::join(missing, "\n")));
+    if (!wrong.empty()) throw InvalidInput(fmt::format("{}", fmt::join(wrong, "\n")), code);
 }
 
-void apply_params_file(const std::filesystem::path& file, const ParamList& params)
+void apply_params_file(const std::filesystem::path& file, const ParamList& params,
+                       const std::function<void()>& validate)
 {
     const toml::table table = parse(read_text(file), file);
     Errors errors(file.string());
@@ -527,6 +576,13 @@ void apply_params_file(const std::filesystem::path& file, const ParamList& param
         } catch (const Error& error) {
             errors.add(node->source(), error.what());
         }
+    }
+    errors.raise();
+    if (!validate) return;
+    try {
+        validate();
+    } catch (const InvalidParameter& error) {
+        errors.add(place_of_blame(table, "", error.what(), table.source()), error.what());
     }
     errors.raise();
 }

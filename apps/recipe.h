@@ -1,6 +1,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -39,15 +40,20 @@ Recipe read_recipe(const std::filesystem::path& file, const std::vector<std::str
 Recipe parse_recipe(const std::string& text, const std::filesystem::path& file,
                     const std::vector<std::string>& overrides);
 
-/// Looks for every file that stages of a recipe read, before the first of them runs.
+/// Looks for every file that stages of a recipe read, and into the small ones, before the first
+/// stage runs.
 /// @param selected  which stages count, by index
-/// @throws InvalidInput  all that are missing, one a line: `file:line:column: stage: key = path: no
-/// such file`
+/// @throws InvalidInput  all mistakes, one a line: `file:line:column: stage: key = path: no such
+/// file`; InvalidParameter where one is of a file of parameters
 void require_input_files(const Recipe& recipe, const std::vector<bool>& selected);
 
 /// Sets the parameters of a stage from a TOML file of `key = value` lines (or a recipe's stage
 /// table).
-void apply_params_file(const std::filesystem::path& file, const ParamList& params);
+/// @param validate  called when all keys are understood; what it throws gets the place of the key
+///                  that its message names
+/// @throws InvalidParameter  all errors, one a line: `file:line:column: key: found, expected`
+void apply_params_file(const std::filesystem::path& file, const ParamList& params,
+                       const std::function<void()>& validate = {});
 
 /// The recipe text that repeats a history and writes `output`.
 std::string recipe_from_history(const std::vector<HistoryEntry>& history, const std::string& output,

@@ -334,10 +334,10 @@ private:
     }
     static const char* extension(OutputKind kind)
     {
-        return kind == OutputKind::Scene     ? ".vdb"
+        return kind == OutputKind::Scene                                ? ".vdb"
                : kind == OutputKind::Mesh || kind == OutputKind::Points ? ".ply"
-               : kind == OutputKind::Picture ? ".png"
-                                             : ".csv";
+               : kind == OutputKind::Picture                            ? ".png"
+                                                                        : ".csv";
     }
     fs::path result_path(std::size_t i, const std::string& key) const
     {
@@ -363,6 +363,12 @@ private:
             reason = "its kept result is missing or damaged";
             return {};
         }
+        const Json frames = record.json.value("frames", Json::object());
+        for (const auto& [name, hash] : frames.items())
+            if (!fs::exists(recipe_.out / name) || file_hash(recipe_.out / name) != hash) {
+                reason = fmt::format("{} of its sequence is gone or was changed", name);
+                return {};
+            }
         return record;
     }
 
@@ -388,10 +394,13 @@ private:
             if (!last["inputs"].contains(name) || last["inputs"][name] != value)
                 return fmt::format("its input {} changed", name);
         if (last["preset"] != now["preset"]) return "the lava's preset changed";
-        for (const auto& [name, params] : now["recalled"].items())
+        const Json recalled = last.value("recalled", Json::object());
+        for (const auto& [name, params] : now["recalled"].items()) {
+            const Json before = recalled.value(name, Json::object());
             for (const auto& [key, value] : params.items())
-                if (last["recalled"][name][key] != value)
+                if (!before.contains(key) || before[key] != value)
                     return fmt::format("{}.{} changed to {}", name, key, value.dump());
+        }
         return "its kept result is gone";
     }
 
@@ -406,13 +415,15 @@ private:
         outline.domain = domain_from(record.json["domain"]);
         outline.heat_domain = domain_from(record.json["heat_domain"]);
         outline.lava_voxels = record.json.value("lava_voxels", 0.0);
+        outline.surface_cells = record.json.value("surface_cells", 0.0);
     }
 
     SceneOutline inherited_outline(std::size_t i) const
     {
         SceneOutline outline;
         for (const std::size_t parent : stage(i).from)
-            if (outlines_[parent].domain.dims.x > 0) outline = outlines_[parent];
+            if (outlines_[parent].domain.dims.x > 0 || outlines_[parent].surface_cells > 0)
+                outline = outlines_[parent];
         return outline;
     }
 
@@ -535,11 +546,52 @@ private:
         const auto scene_file =
             std::find_if(stage(i).write.begin(), stage(i).write.end(),
                          [](const std::string& name) { return name.ends_with(".vdb"); });
-        if (scene_file != stage(i).write.end())
-            c.frame = [&](int number, const Scene& frame) {
-                write_vdb(frame_path(recipe_.out / *scene_file, number), frame, {},
-                          c.progress.slice(1, 1));
+        Json frames = Json::object();
+        const fs::path frames_file =
+            cache_ / fmt::format("{}-{}.frames", stage(i).name, key.substr(0, 16));
+        if (scene_file != stage(i).write.end() && wants_frames(i)) {
+            // As whole as the scene itself: with what the stage does not read, too.
+            for (const auto& [name, item] : items)
+                if (stage(item.maker).process->info().output == OutputKind::Scene &&
+                    !makes_item(process, name))
+                    load(name, item);
+            // A run that goes on does not write again what an interrupted one wrote.
+            if (fs::exists(c.checkpoint)) {
+                if (fs::exists(frames_file)) frames = read_json(frames_file);
+                bool whole = frames.is_object();
+                if (whole)
+                    for (const auto& [name, hash] : frames.items())
+                        whole = whole && fs::exists(recipe_.out / name) &&
+                                file_hash(recipe_.out / name) == hash;
+                if (!whole) {
+                    frames = Json::object();
+                    fs::remove(c.checkpoint);
+                }
+            }
+            c.frame = [&](int number, const Scene& all) {
+                const std::string name = frame_path(*scene_file, number).string();
+                Scene frame;
+                frame.domain = all.domain;
+                frame.heat_domain = all.heat_domain;
+                frame.history = all.history;
+                frame.history.push_back(history_of(process, c));
+                auto copy = [&](const std::string& item) {
+                    if (const auto grid = all.grids.find(item); grid != all.grids.end())
+                        frame.grids.insert(*grid);
+                    if (const auto set = all.points.find(item); set != all.points.end())
+                        frame.points.insert(*set);
+                };
+                for (const auto& [item, where] : items) copy(item);
+                for (const std::string& item : process.makes()) copy(item);
+                refuse_foreign(recipe_.out / name, name);
+                state_["owned"][name] = "";
+                save_state();
+                write_vdb(recipe_.out / name, frame, {}, c.progress.slice(1, 1));
+                frames[name] = file_hash(recipe_.out / name);
+                state_["owned"][name] = frames[name];
+                write_file(frames_file, frames.dump());
             };
+        }
         const Json summary =
             process.info().reads_many ? process.run_many(parents_of(i), c) : process.run(scene_, c);
         clear_progress_line();
@@ -580,6 +632,14 @@ private:
         double lava_voxels = outline.lava_voxels;
         if (process.info().name == "lava")
             lava_voxels = static_cast<double>(scene_.ints("region").active_count());
+        double surface_cells = outline.surface_cells;
+        if (const auto area = scene_.grids.find("surf_area"); area != scene_.grids.end())
+            surface_cells = static_cast<double>(area->second.active_count());
+        else if (surface_cells == 0) {
+            SceneOutline made = outline;  // a lantern knows how many it will have
+            process.estimate(made, c);
+            surface_cells = made.surface_cells;
+        }
         Record record{{{"key", key},
                        {"stage", process.info().name},
                        {"made_with", SEKITEI_VERSION},
@@ -590,11 +650,15 @@ private:
                        {"domain", domain_json(scene_.domain)},
                        {"heat_domain", domain_json(scene_.heat_domain)},
                        {"lava_voxels", lava_voxels},
+                       {"surface_cells", surface_cells},
+                       {"frames", frames},
                        {"summary", summary},
                        {"seconds", seconds_now() - start}}};
         if (process.info().output == OutputKind::Mesh)
             record.json["bounds"] = bounds_json(scene_.meshes.at("rock").bounds());
         write_file(record_path(i, key), record.json.dump(1));
+        std::error_code ignored;
+        fs::remove(frames_file, ignored);
         adopt(i, std::move(items), record);
         return record;
     }
@@ -616,6 +680,19 @@ private:
             scenes.emplace_back(stage(parent).name, std::move(scene));
         }
         return scenes;
+    }
+
+    /// Whether stage i writes scenes on its way.
+    bool wants_frames(std::size_t i) const
+    {
+        const ParamList params = stage(i).process->params();
+        const Param* every = find_param(params, "every");
+        return every && every->get() != 0;
+    }
+    static bool makes_item(Stage& process, const std::string& name)
+    {
+        const std::vector<std::string> names = process.makes();
+        return std::find(names.begin(), names.end(), name) != names.end();
     }
 
     static void move_item(const std::string& name, Scene& from, Scene& to)
@@ -750,6 +827,11 @@ private:
     void write_manifest()
     {
         Json outputs = Json::array();
+        for (std::size_t i = 0; i < recipe_.stages.size(); ++i) {
+            if (!selected_[i]) continue;
+            const Json frames = records_[i].json.value("frames", Json::object());
+            for (const auto& [name, hash] : frames.items()) written_.push_back({name, i});
+        }
         for (const auto& [name, i] : written_) {
             std::optional<Bounds> bounds;
             if (const auto known = records_[i].json.find("bounds"); known != records_[i].json.end())
@@ -809,7 +891,10 @@ private:
         for (const auto& entry : fs::directory_iterator(cache_)) {
             const std::string name = entry.path().filename().string();
             const std::size_t dash = name.rfind('-');
-            if (entry.path().extension() != ".json" || dash == std::string::npos ||
+            // A checkpoint without a record is of a run that was given up.
+            const bool orphan = entry.path().extension() == ".checkpoint" &&
+                                !fs::exists(fs::path(entry.path()).replace_extension(".json"));
+            if ((entry.path().extension() != ".json" && !orphan) || dash == std::string::npos ||
                 current.contains(name))
                 continue;
             std::error_code error;
@@ -818,7 +903,8 @@ private:
         for (auto& [name, files] : older) {
             std::sort(files.begin(), files.end(), std::greater<>());
             for (std::size_t k = kKeptResults; k < files.size(); ++k)
-                for (const char* suffix : {".json", ".vdb", ".ply", ".png", ".csv", ".checkpoint"}) {
+                for (const char* suffix :
+                     {".json", ".vdb", ".ply", ".png", ".csv", ".checkpoint", ".frames"}) {
                     std::error_code error;
                     fs::remove(fs::path(files[k].second).replace_extension(suffix), error);
                 }

@@ -3,6 +3,8 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <algorithm>
+
 #include "apps/stages/stages.h"
 #include "core/error.h"
 #include "core/file_output.h"
@@ -12,10 +14,10 @@ namespace sekitei::apps {
 namespace {
 
 using Factory = std::unique_ptr<Stage> (*)();
-constexpr Factory kFactories[] = {make_lava,  make_cool, make_joint,      make_weather,
-                                  make_mesh,  make_lantern, make_light, make_wind, make_soil,
-                                  make_moss,  make_render,  make_statistics, make_plot,
-                                  make_compare, make_export};
+constexpr Factory kFactories[] = {make_lava, make_cool,    make_joint,  make_weather,
+                                  make_mesh, make_lantern, make_light,  make_wind,
+                                  make_soil, make_moss,    make_render, make_statistics,
+                                  make_plot, make_compare, make_export};
 
 }  // namespace
 
@@ -95,6 +97,39 @@ InvalidInput named_after(const std::string& file, const InvalidInput& error)
     if (file.empty() || error.code() != ExitCode::BadInput || what.find(file) != std::string::npos)
         return error;
     return InvalidInput(file + ": " + what, error.code());
+}
+
+std::string maker_hint(const std::string& item)
+{
+    std::vector<std::string> makers;
+    for (const StageInfo& info : stage_infos())
+        for (const std::string& made : info.makes)
+            if (made == item) makers.push_back(fmt::format("`sekitei {}`", info.name));
+    return makers.empty() ? "" : fmt::format("; run {} first", fmt::join(makers, " or "));
+}
+
+void require_needs(Stage& stage, const Scene& scene)
+{
+    std::vector<std::string> present;
+    for (const auto& [name, grid] : scene.grids) present.push_back(name);
+    for (const auto& [name, points] : scene.points) present.push_back(name);
+    for (const auto& [name, mesh] : scene.meshes) present.push_back(name);
+    for (const std::string& need : stage.needs())
+        if (std::find(present.begin(), present.end(), need) == present.end())
+            throw InvalidInput(fmt::format(
+                "{}: the scene has no '{}', present: {}{}", stage.info().name, need,
+                present.empty() ? "nothing" : fmt::format("{}", fmt::join(present, ", ")),
+                maker_hint(need)));
+}
+
+bool blames_own_file(Stage& stage, const StageContext& context, std::string_view message)
+{
+    std::vector<std::filesystem::path> files = stage.files();
+    for (const Param& param : stage.params())
+        if (param.kind == Param::Kind::Path) files.emplace_back(param.get().get<std::string>());
+    return std::any_of(files.begin(), files.end(), [&](const std::filesystem::path& file) {
+        return !file.empty() && message.starts_with(Stage::resolve(context, file).string() + ":");
+    });
 }
 
 std::filesystem::path frame_path(const std::filesystem::path& file, int number)

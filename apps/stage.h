@@ -73,6 +73,10 @@ public:
     virtual ParamList params() = 0;
     /// @throws InvalidParameter
     virtual void validate() = 0;
+    /// Reads the small files that parameters name, so that their mistakes are told before anything
+    /// is computed.
+    /// @throws InvalidInput, InvalidParameter
+    virtual void check_files(const StageContext&) {}
     /// May refine `outline` (a body of lava sets the domain). Reads headers of input files at most.
     virtual Need estimate(SceneOutline& outline, const StageContext& context) = 0;
     /// Adds or replaces what it makes in `scene`; returns numbers worth a summary.
@@ -109,8 +113,19 @@ HistoryEntry history_of(Stage& stage, const StageContext& context);
 /// Tells what reading a mesh file had to mend.
 void log_mesh_report(const std::filesystem::path& file, const MeshReadReport& report);
 
+/// "; run `sekitei light` first" for a grid, points or mesh that only other stages make; empty
+/// where none does.
+std::string maker_hint(const std::string& item);
+
+/// @throws InvalidInput  what `stage` cannot do without and `scene` has not, what it has, and which
+///                       stage makes that
+void require_needs(Stage& stage, const Scene& scene);
+
 /// What a file is to blame for begins with its name; the name is not repeated.
 InvalidInput named_after(const std::string& file, const InvalidInput& error);
+
+/// Whether a message is about one of the files that `stage` reads besides its scene.
+bool blames_own_file(Stage& stage, const StageContext& context, std::string_view message);
 
 /// The file of one scene of a sequence: "moss.vdb" and 30 give "moss.0030.vdb".
 std::filesystem::path frame_path(const std::filesystem::path& file, int number);

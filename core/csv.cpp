@@ -15,6 +15,7 @@ namespace sekitei {
 namespace {
 
 constexpr std::size_t kMostTold = 1000;
+constexpr std::size_t kMostAtOnePlace = 3;  // a month of normals is wrong on each of its days
 
 /// Bytes of the character that starts the text; 0 where it is not UTF-8.
 std::size_t utf8_length(std::string_view text)
@@ -139,10 +140,15 @@ void Problems::throw_if_any() const
 {
     if (count_ == 0) return;
     std::string all;
-    for (const auto& [place, texts] : texts_)
-        for (const std::string& text : texts)
+    for (const auto& [place, texts] : texts_) {
+        auto line = [&](const std::string& text) {
             all += fmt::format("{}{}:{}:{}: {}", all.empty() ? "" : "\n", file_, place.first,
                                place.second, text);
+        };
+        for (std::size_t k = 0; k < std::min(texts.size(), kMostAtOnePlace); ++k) line(texts[k]);
+        if (texts.size() > kMostAtOnePlace)
+            line(fmt::format("{} more like it", texts.size() - kMostAtOnePlace));
+    }
     if (count_ > kMostTold) all += fmt::format("\n{}: {} more", file_, count_ - kMostTold);
     throw InvalidInput(all);
 }

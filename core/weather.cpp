@@ -361,6 +361,7 @@ Weather finish(RawWeather raw, const std::optional<Site>& given_site, WeatherFil
 
     Weather weather;
     weather.site = site;
+    weather.stated = raw.site;
     weather.days.reserve(raw.days.size());
     std::size_t clamped = 0, calm = 0, no_pressure = 0;
     std::array<std::size_t, kQuantities> unknown{};
@@ -461,7 +462,7 @@ Weather read_weather(const std::filesystem::path& path, const std::optional<Site
 Weather select_days(const Weather& weather, std::size_t first, std::size_t count, bool repeat)
 {
     const std::size_t length = weather.days.size();
-    Weather chosen{{}, weather.site, weather.notes};
+    Weather chosen{{}, weather.site, weather.notes, weather.stated};
     if (first <= length && count <= length - first) {
         const auto begin = weather.days.begin() + static_cast<std::ptrdiff_t>(first);
         chosen.days.assign(begin, begin + static_cast<std::ptrdiff_t>(count));

@@ -6,7 +6,6 @@
 #include <optional>
 #include <string>
 #include <string_view>
-#include <string_view>
 #include <vector>
 
 namespace sekitei {
@@ -37,6 +36,7 @@ struct Weather {
     std::optional<Site> site;      ///< where the file says so
     std::vector<std::string>
         notes;  ///< what was derived or filled in, and by which method; for summaries
+    std::optional<Site> stated{};  ///< what the file says where another site replaced it
 };
 
 /// What to do when a day is missing.

@@ -57,7 +57,16 @@ std::string bash_script()
         "  esac\n"
         "    COMPREPLY=($(compgen -f -- \"$word\"))\n}}\ncomplete -o filenames -F _sekitei "
         "sekitei\n",
-        "--set --only --dry-run " + fmt::format("{}", fmt::join(kCommonOptions, " ")));
+        "--set --only --dry-run --at --full --markdown --tolerance " +
+            fmt::format("{}", fmt::join(kCommonOptions, " ")));
+    return text;
+}
+
+/// For a word between apostrophes.
+std::string quoted(std::string text)
+{
+    for (std::size_t at = 0; (at = text.find('\'', at)) != std::string::npos; at += 2)
+        text.insert(at, "\\");
     return text;
 }
 
@@ -68,20 +77,17 @@ std::string fish_script()
     for (const StageInfo& info : stage_infos())
         text += fmt::format(
             "complete -c sekitei -n 'not __fish_seen_subcommand_from {}' -a {} -d '{}'\n", commands,
-            info.name, info.summary);
+            info.name, quoted(info.summary));
     for (const CommandInfo& info : tool_commands())
         text += fmt::format(
             "complete -c sekitei -n 'not __fish_seen_subcommand_from {}' -a {} -d '{}'\n", commands,
-            info.name, info.summary);
+            info.name, quoted(info.summary));
     for (const StageInfo& info : stage_infos()) {
         const auto stage = make_stage(info.name);
         for (const Param& p : stage->params()) {
-            std::string help = p.help;
-            for (std::size_t at = 0; (at = help.find('\'', at)) != std::string::npos; at += 2)
-                help.insert(at, "\\");
             text += fmt::format(
                 "complete -c sekitei -n '__fish_seen_subcommand_from {}' -l {} -d '{}'{}\n",
-                info.name, option_name(p.name), help,
+                info.name, option_name(p.name), quoted(p.help),
                 p.choices.empty() ? "" : fmt::format(" -xa '{}'", fmt::join(p.choices, " ")));
         }
     }

@@ -5,6 +5,7 @@
 
 #include "apps/commands/commands.h"
 #include "apps/habitat.h"
+#include "apps/stage.h"
 #include "core/error.h"
 #include "core/units.h"
 #include "grids/vdb_file.h"
@@ -16,11 +17,13 @@ namespace {
 Vec3d point_of(const std::string& text)
 {
     const std::vector<std::string> words = split_names(text);
-    if (words.size() != 3)
-        throw InvalidParameter(fmt::format("--at {}: must be x,y,z", text));
+    if (words.size() != 3) throw InvalidParameter(fmt::format("--at {}: must be x,y,z", text));
     Vec3d p;
-    for (int axis = 0; axis < 3; ++axis)
-        p[axis] = parse_quantity(words[std::size_t(axis)], "m");
+    for (int axis = 0; axis < 3; ++axis) try {
+            p[axis] = parse_quantity(words[std::size_t(axis)], "m");
+        } catch (const InvalidParameter& error) {
+            throw InvalidParameter(fmt::format("--at {}: {}", text, error.what()));
+        }
     return p;
 }
 
@@ -38,9 +41,13 @@ int command_explain(const std::string& file, const std::string& at, const Common
     ReadOptions options;
     options.memory_limit = common.memory_limit;
     const Scene scene = read_vdb(file, options);
-    const SurfaceCells cells =
-        surface_cells(scene.floats("surface_sdf"), scene.vectors("surf_normal"),
-                      scene.floats("surf_area"), {});
+    for (const char* need : {"surface_sdf", "surf_normal", "surf_area"})
+        if (!scene.has(need))
+            throw InvalidInput(
+                fmt::format("{}: its surface has no climate to explain, for there is no '{}'{}",
+                            file, need, maker_hint("surf_area")));
+    const SurfaceCells cells = surface_cells(
+        scene.floats("surface_sdf"), scene.vectors("surf_normal"), scene.floats("surf_area"), {});
     std::size_t cell = 0;
     double nearest = std::numeric_limits<double>::infinity();
     for (std::size_t i = 0; i < cells.size(); ++i) {
@@ -107,6 +114,7 @@ int command_explain(const std::string& file, const std::string& at, const Common
 
     if (known("soil_Ts") && known("soil_rh") && known("light_S")) {
         std::vector<moss::Species> species;
+        std::vector<std::string> absent;
         moss::Rules rules;
         const std::filesystem::path folder = std::filesystem::path(file).parent_path();
         if (const Json* made = params_of(scene, "moss")) {
@@ -117,10 +125,16 @@ int command_explain(const std::string& file, const std::string& at, const Common
             if ((*made)["light_gate"].is_null() && soil && soil->value("profile", "") == "paper")
                 rules.light_gate = false;
             for (const std::string& name : split_names((*made)["species"].get<std::string>())) {
-                if (std::filesystem::path(name).extension() == ".toml" &&
-                    !std::filesystem::exists(name))
-                    continue;  // its numbers are not at hand
-                species.push_back(find_species(name, "."));
+                // A species' file may be named from where the command or the recipe was.
+                const bool own = std::filesystem::path(name).extension() == ".toml";
+                if (own && !std::filesystem::exists(name) &&
+                    !std::filesystem::exists(folder / name)) {
+                    absent.push_back(name);
+                    continue;
+                }
+                species.push_back(find_species(name, own && !std::filesystem::exists(name)
+                                                         ? folder
+                                                         : std::filesystem::path()));
             }
         } else
             species = moss::preset_species();
@@ -132,16 +146,12 @@ int command_explain(const std::string& file, const std::string& at, const Common
                                            {"humidity", f.humidity},
                                            {"light", f.light},
                                            {"gate", f.gate}};
-            const Factor limiting =
-                *std::min_element(factors.begin(), factors.end(), [](const Factor& a, const Factor& b) {
-                    return a.value < b.value;
-                });
-            Json entry = {{"name", s.name},
-                          {"temperature", f.temperature},
-                          {"humidity", f.humidity},
-                          {"light", f.light},
-                          {"gate", f.gate},
-                          {"G", f.total()},
+            const Factor limiting = *std::min_element(
+                factors.begin(), factors.end(),
+                [](const Factor& a, const Factor& b) { return a.value < b.value; });
+            Json entry = {{"name", s.name},           {"temperature", f.temperature},
+                          {"humidity", f.humidity},   {"light", f.light},
+                          {"gate", f.gate},           {"G", f.total()},
                           {"limiting", limiting.name}};
             std::string daily;
             if (known("suit_" + s.name)) {
@@ -156,6 +166,8 @@ int command_explain(const std::string& file, const std::string& at, const Common
                                 daily);
             json["species"].push_back(std::move(entry));
         }
+        for (const std::string& name : absent)
+            text += fmt::format("  {} is not here, so its factors are not known\n", name);
     }
     if (known("moss_growth")) {
         const std::vector<std::string> names = species_names(scene);

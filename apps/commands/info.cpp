@@ -74,8 +74,9 @@ std::string scene_text(const Json& j)
         text += fmt::format("box {} x {} x {} voxels of {} m\n", j["domain"]["dims"][0].get<int>(),
                             j["domain"]["dims"][1].get<int>(), j["domain"]["dims"][2].get<int>(),
                             j["domain"]["voxel_m"].get<double>());
-    text += fmt::format("\n{:<26} {:<8} {:<12} {:>14} {:>10} {:>10} {:>8}  {:<6} {}\n", "grid", "type",
-                        "class", "active voxels", "on disk", "in memory", "voxel m", "unit", "bounds m");
+    text += fmt::format("\n{:<26} {:<8} {:<12} {:>14} {:>10} {:>10} {:>8}  {:<6} {}\n", "grid",
+                        "type", "class", "active voxels", "on disk", "in memory", "voxel m", "unit",
+                        "bounds m");
     for (const Json& g : j["grids"]) {
         std::string bounds;
         if (g.contains("bounds_m")) {

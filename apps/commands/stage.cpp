@@ -1,5 +1,7 @@
 #include "apps/stage.h"
 
+#include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -47,6 +49,32 @@ std::vector<fs::path> targets_of(const StageInfo& info, const Common& common)
     return targets;
 }
 
+/// A stage that writes a sequence needs a name to number, which none of its scenes has yet.
+void check_frames(const ParamList& params, const Common& common)
+{
+    const Param* every = find_param(params, "every");
+    if (!every || every->get() == 0) return;
+    const fs::path file = common.output.front();
+    if (file == "-")
+        throw InvalidParameter(
+            "--every writes numbered files beside the result: give a file with -o, not -");
+    if (common.force) return;
+    const fs::path folder = file.has_parent_path() ? file.parent_path() : ".";
+    const std::string stem = file.stem().string() + ".", suffix = file.extension().string();
+    for (const auto& entry : fs::directory_iterator(folder)) {
+        const std::string name = entry.path().filename().string();
+        if (!name.starts_with(stem) || !name.ends_with(suffix) ||
+            name.size() <= stem.size() + suffix.size())
+            continue;
+        const std::string number =
+            name.substr(stem.size(), name.size() - stem.size() - suffix.size());
+        if (number.find_first_not_of("0123456789") == std::string::npos)
+            throw InvalidParameter(
+                fmt::format("{} exists, from an earlier sequence; replace it with --force",
+                            (file.has_parent_path() ? folder / name : fs::path(name)).string()));
+    }
+}
+
 /// Refuses now what could not be written later.
 void check_outputs(const StageInfo& info, const Common& common)
 {
@@ -63,15 +91,15 @@ void check_outputs(const StageInfo& info, const Common& common)
             continue;
         }
         const std::string suffix = fs::path(name).extension().string();
-        const bool fits = info.output == OutputKind::Picture ? suffix == ".png"
-                          : info.output == OutputKind::Table ? suffix == ".csv"
+        const bool fits = info.output == OutputKind::Picture  ? suffix == ".png"
+                          : info.output == OutputKind::Table  ? suffix == ".csv"
                           : info.output == OutputKind::Points ? suffix == ".ply"
                           : info.output == OutputKind::Mesh ? is_mesh_name(name) || suffix == ".vdb"
                                                             : suffix == ".vdb";
         if (!fits)
             throw InvalidParameter(fmt::format("-o {}: `{}` writes {}", name, info.name,
-                                               info.output == OutputKind::Picture ? ".png"
-                                               : info.output == OutputKind::Table ? ".csv"
+                                               info.output == OutputKind::Picture  ? ".png"
+                                               : info.output == OutputKind::Table  ? ".csv"
                                                : info.output == OutputKind::Points ? ".ply"
                                                : info.output == OutputKind::Mesh
                                                    ? ".ply, .obj, .stl, .off, .glb or .vdb"
@@ -101,7 +129,21 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common,
         [](const std::string& target) { return fs::path(target).extension() == ".vdb"; });
     if (stage.info().output != OutputKind::Scene && !passed_on) {
         // Nothing is passed on, so only what is needed is loaded.
-        for (const std::string& need : stage.needs()) options.only.insert(need);
+        for (const std::string& need : stage.needs()) {
+            if (const std::string hint = maker_hint(need);
+                !hint.empty() && name != "-" && !is_mesh_name(name) && need != "rock" &&
+                stage.info().output != OutputKind::Mesh) {
+                const std::vector<VdbGridInfo> grids = inspect_vdb(name).grids;
+                if (std::none_of(grids.begin(), grids.end(),
+                                 [&](const VdbGridInfo& grid) { return grid.name == need; })) {
+                    std::vector<std::string> present;
+                    for (const VdbGridInfo& grid : grids) present.push_back(grid.name);
+                    throw InvalidInput(fmt::format("{}: the scene has no '{}', present: {}{}", name,
+                                                   need, fmt::join(present, ", "), hint));
+                }
+            }
+            options.only.insert(need);
+        }
         for (const std::string& extra : stage.uses()) options.if_there.insert(extra);
         options.keep_foreign = false;
     }
@@ -148,8 +190,7 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common,
             got += static_cast<std::size_t>(n);
         }
         if (start != "ply") {
-            if (!picture_of_surface)
-                return read_vdb_stream(STDIN_FILENO, options, start, progress);
+            if (!picture_of_surface) return read_vdb_stream(STDIN_FILENO, options, start, progress);
             options.only.clear();
             return with_surface(read_vdb_stream(STDIN_FILENO, options, start, progress));
         }
@@ -253,33 +294,39 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
         throw InvalidParameter(
             fmt::format("{}: reads one scene, but '{}' was given as well", name, inputs[1]));
     check_outputs(stage->info(), common);
+    check_frames(params, common);
 
     StageContext context;
     context.seed = common.seed;
     context.progress = console_progress(name);
     context.memory_limit = common.memory_limit;
     context.fix_nan = common.fix_nan;
-    context.folder = ".";
     Scene scene;
     std::vector<std::pair<std::string, Scene>> scenes;
     if (stage->info().reads_many)
         for (const std::string& input : inputs)
-            scenes.emplace_back(fs::path(input).stem().string(),
-                                read_input(*stage, input, common,
-                                           context.progress.named("reading")));
+            scenes.emplace_back(
+                fs::path(input).stem().string(),
+                read_input(*stage, input, common, context.progress.named("reading")));
     else if (!inputs.empty())
         scene = read_input(*stage, inputs.front(), common, context.progress.named("reading"));
     for (const fs::path& target : targets_of(stage->info(), common))
         if (target != "-")
             remove_stale_temporaries(target.has_parent_path() ? target.parent_path() : ".");
     const HistoryEntry entry = history_of(*stage, context);
+    // A mesh takes what attributes are there, and a picture can be of a volume.
+    const bool sure = stage->info().output != OutputKind::Mesh && name != "render";
+    if (sure && !stage->info().reads_many && stage->info().reads_scene) {
+        try {
+            require_needs(*stage, scene);
+        } catch (const InvalidInput& error) {
+            throw inputs.front() == "-" ? error : named_after(inputs.front(), error);
+        }
+    }
     if (stage->info().output == OutputKind::Scene && common.output.front() != "-")
         context.frame = [&](int number, const Scene& frame) {
             const fs::path file = frame_path(common.output.front(), number);
             check_target(file);
-            if (!common.force && fs::exists(file))
-                throw InvalidParameter(
-                    fmt::format("{} exists; replace it with --force", file.string()));
             Scene numbered = frame;
             numbered.history.push_back(entry);
             write_vdb(file, numbered, {}, context.progress.slice(1, 1));
@@ -287,8 +334,7 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
     std::set<std::string> read;
     for (const std::string& used : stage->needs()) read.insert(used);
     for (const std::string& used : stage->uses()) read.insert(used);
-    for (const std::string& made :
-         stage->makes()) {  // replaced, or gone if not made this time
+    for (const std::string& made : stage->makes()) {  // replaced, or gone if not made this time
         if (stage->info().output != OutputKind::Scene || read.contains(made))
             continue;  // a grid called like the mesh is something else
         scene.grids.erase(made);
@@ -299,7 +345,9 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
             return stage->info().reads_many ? stage->run_many(scenes, context)
                                             : stage->run(scene, context);
         } catch (const InvalidInput& error) {
-            if (inputs.empty() || inputs.front() == "-") throw;
+            if (inputs.empty() || inputs.front() == "-" ||
+                blames_own_file(*stage, context, error.what()))
+                throw;
             throw named_after(inputs.front(), error);
         }
     }();

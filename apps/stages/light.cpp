@@ -93,6 +93,8 @@ public:
                 "with units in its header; data/weather has some");
     }
 
+    void check_files(const StageContext& context) override { days(context); }
+
     Need estimate(SceneOutline& outline, const StageContext&) override
     {
         if (outline.surface_cells == 0)
@@ -104,26 +106,8 @@ public:
     {
         const Progress& progress = context.progress;
         // The weather first: its mistakes are the quickest to find.
-        std::optional<Site> site;
-        if (params_.latitude)
-            site = Site{*params_.latitude * math::kPi / 180,
-                        params_.longitude.value_or(0) * math::kPi / 180};
-        const std::filesystem::path file = resolve(context, params_.weather);
-        Weather weather = read_weather(file, site, params_.fill);
-        const std::vector<std::string> notes = weather.notes;
-        for (const std::string& note : notes) log::info("light: {}", note);
-        if (site) weather.site = site;
-        if (!weather.site)
-            throw InvalidParameter(fmt::format(
-                "light: latitude: {} does not say where it was measured; give --latitude",
-                file.string()));
-        const auto first = static_cast<std::size_t>(params_.first_day);
-        if (first >= weather.days.size())
-            throw InvalidParameter(fmt::format("light: first_day = {}, but {} has {} days", first,
-                                               file.string(), weather.days.size()));
-        const std::size_t count =
-            params_.days ? static_cast<std::size_t>(*params_.days) : weather.days.size() - first;
-        weather = select_days(weather, first, count, params_.repeat_year);
+        const Weather weather = days(context);
+        for (const std::string& note : weather.notes) log::info("light: {}", note);
 
         const std::optional<Domain> box = find_surface(scene, context);
         const FloatGrid& surface = scene.floats("surface_sdf");
@@ -193,12 +177,37 @@ public:
                         {"mean_light", mean / area},
                         {"mean_sky_view", view / area},
                         {"bytes_a_cell", coefficients.bytes_per_site()}};
-        for (const std::string& note : notes)  // told in full above
+        for (const std::string& note : weather.notes)  // told in full above
             summary["derived"].push_back(note.substr(0, note.find(':')));
         return summary;
     }
 
 private:
+    /// The days of the weather that count.
+    Weather days(const StageContext& context) const
+    {
+        std::optional<Site> site;
+        if (params_.latitude)
+            site = Site{*params_.latitude * math::kPi / 180, 0};
+        const std::filesystem::path file = resolve(context, params_.weather);
+        Weather weather = read_weather(file, site, params_.fill);
+        if (weather.site && params_.longitude)
+            weather.site->longitude = *params_.longitude * math::kPi / 180;
+        else if (weather.site && weather.stated)
+            weather.site->longitude = weather.stated->longitude;
+        if (!weather.site)
+            throw InvalidParameter(fmt::format(
+                "light: latitude: {} does not say where it was measured; give --latitude",
+                file.string()));
+        const auto first = static_cast<std::size_t>(params_.first_day);
+        if (first >= weather.days.size())
+            throw InvalidParameter(fmt::format("light: first_day = {}, but {} has {} days", first,
+                                               file.string(), weather.days.size()));
+        const std::size_t count =
+            params_.days ? static_cast<std::size_t>(*params_.days) : weather.days.size() - first;
+        return select_days(weather, first, count, params_.repeat_year);
+    }
+
     /// Puts surface_sdf into the scene where it is not there, and says which box cuts it.
     std::optional<Domain> find_surface(Scene& scene, const StageContext& context)
     {
@@ -225,6 +234,12 @@ private:
             throw InvalidInput(
                 fmt::format("light: the grid '{}' has no surface at {}", name, iso));
         const double cell = params_.cell.value_or(grid.transform().voxel);
+        double area = 0;
+        for (const auto& t : mesh.triangles) {
+            const Vec3d a(mesh.vertices[t[0]]), b(mesh.vertices[t[1]]), c(mesh.vertices[t[2]]);
+            area += length(cross(b - a, c - a)) / 2;
+        }
+        check_memory("light", memory(area / (cell * cell)), context.memory_limit);
         Domain box;
         Vec3d lower, upper;
         if (domain.dims.x > 0) {

@@ -23,7 +23,7 @@ struct MossParams {
     std::string species = "bryum,hypnum,polytrichum";
     std::optional<std::int64_t> days;
     bool repeat_year = false;
-    double every = 0;
+    std::int64_t every = 0;
     std::string checkpoint;
     std::optional<bool> light_gate;
 
@@ -37,7 +37,8 @@ struct MossParams {
         field("repeat_year", &MossParams::repeat_year,
               "begin the weather anew when it is shorter than days");
         field("every", &MossParams::every, "d", kNotNegative,
-              "also write a scene every so many days, numbered by day; 0: only the last");
+              "also write a scene every so many days, numbered by day beside the last one; 0: only "
+              "the last");
         field("light_gate", &MossParams::light_gate,
               "nothing grows in the dark; auto: unless the soil stage has profile = paper");
         field("checkpoint", &MossParams::checkpoint,
@@ -109,6 +110,11 @@ public:
             if (fs::path(name).extension() != ".toml") find_species(name, {});
     }
 
+    void check_files(const StageContext& context) override
+    {
+        for (const fs::path& file : files()) find_species(file.string(), context.folder);
+    }
+
     Need estimate(SceneOutline& outline, const StageContext&) override
     {
         return {outline.surface_cells, memory(outline.surface_cells), outline.surface_cells * 90};
@@ -177,8 +183,8 @@ public:
                                {&mosses, now.population.species, fitness});
             now.humidity.swap(day.ground.humidity);
             const int done = int(d) + 1;
-            const int every = static_cast<int>(std::lround(params_.every));
-            if (every > 0 && context.frame && (done % every == 0 || done == int(days))) {
+            if (params_.every > 0 && context.frame &&
+                (done % params_.every == 0 || done == int(days))) {
                 put(scene, climate, community, surface, level_set, now);
                 label(scene, makes(), std::size_t(done), ground.profile, context.seed);
                 context.frame(done, scene);

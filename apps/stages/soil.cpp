@@ -37,6 +37,11 @@ public:
         if (std::filesystem::path(params_.soil).extension() != ".toml") find_soil(params_.soil, {});
     }
 
+    void check_files(const StageContext& context) override
+    {
+        find_soil(params_.soil, context.folder);
+    }
+
     Need estimate(SceneOutline& outline, const StageContext&) override
     {
         return {outline.surface_cells, memory(outline.surface_cells), outline.surface_cells * 60};

@@ -131,15 +131,9 @@ public:
         if (!file.empty()) {
             identity = hash_hex(params_json(describe_params(params)).dump() +
                                 content_hash(scene.grids.at("surf_area")));
-            // A recipe's checkpoint bears the key of all its inputs in its name; one that is
-            // damaged is no checkpoint.
             if (fs::exists(file)) {
-                try {
-                    before = decode(read_file(file, 1ull << 36), file.string(), identity);
-                    log::info("wind: going on where an earlier run stopped");
-                } catch (const InvalidInput& error) {
-                    log::warning("{}", error.what());
-                }
+                before = decode(read_file(file, 1ull << 36), file.string(), identity);
+                log::info("wind: going on where an earlier run stopped");
             }
         }
         const wind::Result result =

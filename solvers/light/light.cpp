@@ -711,6 +711,13 @@ Coefficients retrace(const Coefficients& old, const Sites& sites,
     return c;
 }
 
+bool link_fits(std::int32_t code, std::int32_t sites)
+{
+    const Link link = unpack(code);
+    if (code >= 0) return link.site < sites;
+    return link.site != kForeign || kForeign - code < 54;
+}
+
 Light day(const Coefficients& c, const Sites& sites, std::span<const sun::Moment> moments,
           const sun::Radiation& radiation)
 {

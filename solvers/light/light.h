@@ -136,6 +136,9 @@ struct Coefficients {
     std::size_t bytes_per_site() const;
 };
 
+/// Whether a word of Coefficients::links says something that exists among so many sites.
+bool link_fits(std::int32_t link, std::int32_t sites);
+
 /// Traces everything.
 ///
 /// V integrates the parts of patches that are seen, in proportion to the whole sky, so that a plane

@@ -28,8 +28,9 @@ struct Exchange {
 
     static void describe(auto&& field)
     {
-        field("law", &Exchange::law, "how the exchange of heat and vapour depends on the wind");
-        field("bounded", &Exchange::bounded,
+        field("exchange_law", &Exchange::law,
+              "how the exchange of heat and vapour over water depends on the wind");
+        field("exchange_bounded", &Exchange::bounded,
               "air never gets beyond the water's own temperature and humidity");
     }
 };

@@ -418,7 +418,7 @@ class Pictures(SceneTest):
             with self.subTest(name=name):
                 self.refuse(BAD_INPUT, [name], *self.map(self.write(name, content)))
         self.refuse(BAD_INPUT, ["nowhere.png"], *self.map("nowhere.png"))
-        self.refuse(USAGE, ["height_map"], "lava", "--preset", "height_map", "-o", "x.vdb")
+        self.refuse(USAGE, ["height map", "metres_per_pixel"], "lava", "--preset", "height_map", "-o", "x.vdb")
 
     def test_a_terrain_map_is_checked_too(self):
         path = self.write("words.png", b"not a picture at all")

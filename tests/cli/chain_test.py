@@ -5,8 +5,8 @@ import re
 import subprocess
 import unittest
 
-from support import (COOL, DATA, DONE, JOINT, LAVA, PROGRAM, RENDER, SOURCE, STAGES, TOOLS, USAGE, WEATHER, CliTest,
-                     SceneTest, bash, environment, run)
+from support import (COOL, DATA, DONE, JOINT, LAVA, PROGRAM, RENDER, REQUIRED, SOURCE, STAGES, TOOLS, USAGE, WEATHER,
+                     CliTest, SceneTest, bash, environment, run, spring_weather, tables_before)
 
 
 class Chain(SceneTest):
@@ -204,15 +204,14 @@ class Help(CliTest):
                         self.assertIn(choice, entry)
 
     def test_every_default_of_the_schema_is_accepted(self):
+        self.write("days.csv", spring_weather())
         for stage, described in self.schema.items():
             lines = []
             for name, p in described["properties"].items():
                 if name in ("stage", "from", "write", "seed") or p["default"] is None:
                     continue
-                lines.append(f"{name} = {json.dumps(p['default'])}")
-            before = {"lava": "", "cool": "[lava]\n", "joint": "[lava]\n[cool]\n", "weather": "[lava]\n[cool]\n[joint]\n",
-                      "mesh": "[lava]\n[cool]\n[joint]\n[weather]\n", "render": "[lava]\n[cool]\n[joint]\n[weather]\n[mesh]\n"}[stage]
-            self.write("defaults.toml", f"sekitei = 1\n{before}[{stage}]\n" + "\n".join(lines) + "\n")
+                lines.append(f"{name} = {json.dumps(REQUIRED.get(stage, {}).get(name, p['default']))}")
+            self.write("defaults.toml", f"sekitei = 1\n{tables_before(stage)}[{stage}]\n" + "\n".join(lines) + "\n")
             self.succeed("check", "defaults.toml")
 
     def test_the_reference_page_is_the_programs_own(self):

@@ -3,6 +3,7 @@
 The program's path is in SEKITEI, the data folder in SEKITEI_DATA; ctest sets both.
 """
 
+import datetime
 import json
 import os
 import resource
@@ -23,8 +24,12 @@ SOURCE = DATA.parent
 DONE, BUG, USAGE, BAD_INPUT, CANNOT_WRITE, LIMIT, DIFFER = range(7)
 INTERRUPTED, TERMINATED = 130, 143
 
-STAGES = ["lava", "cool", "joint", "weather", "mesh", "render"]
-TOOLS = ["run", "check", "info", "replay", "diff", "verify", "schema", "completions"]
+ROCK = ["lava", "cool", "joint", "weather", "mesh"]
+HABITAT = ["lantern", "light", "wind", "soil", "moss"]
+STAGES = [*ROCK, *HABITAT, "render", "statistics", "plot", "compare", "export"]
+TOOLS = ["run", "check", "info", "replay", "diff", "explain", "verify", "schema", "completions"]
+# Values of parameters that a stage cannot do without, as in recipes; spring_weather() makes the file.
+REQUIRED = {"light": {"weather": "days.csv"}}
 
 # A body of 40 x 40 x 40 voxels on 10 x 10 x 10 heat cells: every stage takes a fraction of a second.
 LAVA = ["--preset", "slab", "--size", "1.6m,1.6m,1.6m", "--voxel", "4cm", "--heat-cell", "16cm", "--noise-amplitude", "0"]
@@ -68,6 +73,23 @@ samples = 2
 bounces = 1
 write = "rock.png"
 """
+
+
+def spring_weather(days=70):
+    """A CSV of a mild, moist spring with every wind, rain each third day."""
+    lines = ["# latitude = 40 deg", "# longitude = 141 deg",
+             "date,temperature [C],humidity [%],precipitation [mm],wind_speed [m/s],wind_direction [deg],sunshine [h]"]
+    for d in range(days):
+        date = datetime.date(2021, 5, 1) + datetime.timedelta(d)
+        lines.append(f"{date},{14 + d % 9 / 2},{85 + d % 7},{0 if d % 3 else 12},{1.5 + d % 4},{45 * d % 360},{3 + d % 4}")
+    return "\n".join(lines) + "\n"
+
+
+def tables_before(stage):
+    """Tables of a recipe in which `stage` may come next."""
+    chain = ROCK if stage in (*ROCK, "render") else HABITAT
+    names = chain[:chain.index(stage)] if stage in chain else chain
+    return "".join(f"[{name}]\n" + "".join(f'{k} = "{v}"\n' for k, v in REQUIRED.get(name, {}).items()) for name in names)
 
 
 class Finished:
