@@ -52,7 +52,7 @@ constexpr std::pair<const char*, int WeatherDay::*> kWhole[] = {
     {"wind_direction", &WeatherDay::wind_direction}};
 
 /// What the solvers take, in the order of kNumbers; the day's length and the sunshine in hours.
-constexpr std::pair<double, double> kPossible[] = {{180, 340}, {0, 1},  {0, 5000}, {0, 150},
+constexpr std::pair<double, double> kPossible[] = {{180, 340}, {0, 1},  {0, 5000},  {0, 150},
                                                    {0, 24},    {0, 24}, {300, 1200}};
 
 constexpr int kRock = 3;
@@ -194,6 +194,15 @@ Weather weather_of(const Scene& scene)
     }
     weather.site = Site{attribute<double>(points, "weather", "latitude").front(),
                         attribute<double>(points, "weather", "longitude").front()};
+    for (std::size_t i = 0; i < weather.days.size(); ++i) {
+        const int direction = weather.days[i].wind_direction;
+        if (direction < 0 || direction > 7 ||
+            !date_exists(weather.days[i].year, weather.days[i].month, weather.days[i].day))
+            throw InvalidInput(fmt::format(
+                "the points 'weather': day {} is {}-{}-{} with wind_direction {}; expected a date "
+                "and 0 to 7",
+                i, weather.days[i].year, weather.days[i].month, weather.days[i].day, direction));
+    }
     auto require = [](bool good, const char* name, std::size_t i, double value,
                       const std::string& expected) {
         if (!good)
@@ -219,15 +228,6 @@ Weather weather_of(const Scene& scene)
             weather.site->latitude, "-pi/2 to pi/2");
     require(std::abs(weather.site->longitude) <= 2 * math::kPi, "longitude [rad]", 0,
             weather.site->longitude, "-2 pi to 2 pi");
-    for (std::size_t i = 0; i < weather.days.size(); ++i) {
-        const int direction = weather.days[i].wind_direction;
-        if (direction < 0 || direction > 7 ||
-            !date_exists(weather.days[i].year, weather.days[i].month, weather.days[i].day))
-            throw InvalidInput(fmt::format(
-                "the points 'weather': day {} is {}-{}-{} with wind_direction {}; expected a date "
-                "and 0 to 7",
-                i, weather.days[i].year, weather.days[i].month, weather.days[i].day, direction));
-    }
     return weather;
 }
 
@@ -375,7 +375,8 @@ light::Coefficients coefficients_of(const Scene& scene, const SurfaceCells& cell
         c.links.insert(c.links.end(), link.begin(), link.end());
     }
     if (c.bits.empty())
-        throw InvalidInput("the points 'daylight' have no attribute 'bits_00'; run `sekitei light`");
+        throw InvalidInput(
+            "the points 'daylight' have no attribute 'bits_00'; run `sekitei light`");
     const auto count = static_cast<std::int32_t>(cells.size());
     for (std::size_t i = 0; i < c.links.size(); ++i)
         if (!light::link_fits(c.links[i], count))

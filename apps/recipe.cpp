@@ -501,6 +501,11 @@ Recipe parse_recipe(const std::string& text, const std::filesystem::path& file,
             errors.add(draft.source,
                        fmt::format("{}.from: the stage '{}' reads no other", draft.stage.name,
                                    draft.stage.process->info().name));
+    for (const Draft& draft : drafts)
+        if (draft.stage.process && draft.stage.process->info().reads_many && draft.from.size() < 2)
+            errors.add(draft.source,
+                       fmt::format("{}.from: `{}` reads two stages or more", draft.stage.name,
+                                   draft.stage.process->info().name));
     if (drafts.empty())
         errors.add(file.string() + ":1:1",
                    "the recipe has no stage, expected tables such as [lava]");

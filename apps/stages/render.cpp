@@ -1,6 +1,7 @@
 #include "apps/render/render.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <cmath>
@@ -134,6 +135,17 @@ private:
             params.field = grid;
             picture = render::run(painted, params, context.seed, context.progress);
             return;
+        }
+        if (!params.field.empty() && !rock.vertex_attributes.contains(params.field) &&
+            !rock.face_attributes.contains(params.field)) {
+            std::vector<std::string> there;
+            for (const auto& [name, values] : rock.vertex_attributes) there.push_back(name);
+            for (const auto& [name, values] : rock.face_attributes) there.push_back(name);
+            throw InvalidInput(fmt::format(
+                "render: field = {}: no grid of the scene and no attribute of the mesh is called "
+                "that, the mesh has {}{}{}",
+                params.field, there.empty() ? "none" : fmt::format("{}", fmt::join(there, ", ")),
+                nearest_field(params.field), maker_hint(grid)));
         }
         const double ground = params.ground_height.value_or(double(rock.bounds().lower.z));
         const TriMesh wood = obstacle_mesh(scene), water = water_mesh(scene, ground),

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 
+#include "apps/stage.h"
 #include "core/error.h"
 #include "core/parallel.h"
 #include "grids/marching_tetrahedra.h"
@@ -78,9 +79,8 @@ TriMesh leaf_mesh(const Scene& scene)
     const auto* n = normal == leaves.attributes.end()
                         ? nullptr
                         : std::get_if<std::vector<Vec3f>>(&normal->second);
-    const auto* s = size == leaves.attributes.end()
-                        ? nullptr
-                        : std::get_if<std::vector<float>>(&size->second);
+    const auto* s =
+        size == leaves.attributes.end() ? nullptr : std::get_if<std::vector<float>>(&size->second);
     if (!n || !s)
         throw InvalidInput("the points 'leaves' need the attributes N (vec3s) and pscale (float)");
     for (std::size_t i = 0; i < leaves.position.size(); ++i) {
@@ -126,6 +126,16 @@ std::string grid_of_field(const std::string& field)
     return field;
 }
 
+std::string nearest_field(const std::string& field)
+{
+    std::vector<std::string> known;
+    for (const auto& [plain, grid] : kPlainNames) known.emplace_back(plain);
+    for (const StageInfo& info : stage_infos())
+        known.insert(known.end(), info.makes.begin(), info.makes.end());
+    const std::string near = nearest_name(field, known);
+    return near.empty() || near == field ? "" : fmt::format("; did you mean '{}'?", near);
+}
+
 TriMesh with_field(const TriMesh& mesh, const Scene& scene, const std::string& name)
 {
     TriMesh painted = mesh;
@@ -135,9 +145,8 @@ TriMesh with_field(const TriMesh& mesh, const Scene& scene, const std::string& n
     else if (const auto* ints = std::get_if<IntGrid>(&grid.values))
         painted.vertex_attributes[name] = around_vertices(mesh, *ints);
     else
-        throw InvalidInput(
-            fmt::format("render: field = {}: the grid holds {}, expected numbers", name,
-                        grid.type_name()));
+        throw InvalidInput(fmt::format("render: field = {}: the grid holds {}, expected numbers",
+                                       name, grid.type_name()));
     return painted;
 }
 

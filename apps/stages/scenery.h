@@ -24,6 +24,10 @@ TriMesh water_mesh(const Scene& scene, double ground);
 /// The grid that a field's name means: plain words for the short names of soil grids.
 std::string grid_of_field(const std::string& field);
 
+/// "; did you mean 'soil_humidity'?" for a field that nothing is called; empty where nothing is
+/// near.
+std::string nearest_field(const std::string& field);
+
 /// The mesh with a vertex attribute `grid`: the mean of the surface cells around each vertex,
 /// nearer ones counting more. Vertices without a cell near get NaN.
 /// @throws InvalidInput  not a grid of numbers

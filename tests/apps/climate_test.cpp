@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <limits>
 
 #include "apps/habitat.h"
 #include "core/error.h"
@@ -104,6 +105,26 @@ TEST(Climate, WeatherPointsThatAreNoneAreNamed)
     expect([](Points& p) { std::get<std::vector<std::int32_t>>(p.attributes["month"])[2] = 13; },
            "2023-13-1");
     expect([](Points& p) { p.position.clear(); }, "empty");
+
+    for (WeatherDay& day : weather.days) day.temperature = 280;
+    scene.points["weather"] = weather_points(weather);
+    EXPECT_NO_THROW(weather_of(scene));
+    auto tampered = [&](const char* name, double value, const char* words) {
+        expect([&](Points& p) { std::get<std::vector<double>>(p.attributes[name])[1] = value; },
+               words);
+    };
+    const double nan = std::numeric_limits<double>::quiet_NaN();
+    tampered("temperature", 15, "temperature = 15 on day 1, must be 180 to 340");
+    tampered("temperature", nan, "temperature = nan on day 1");
+    tampered("humidity", 1.3, "humidity = 1.3 on day 1, must be 0 to 1");
+    tampered("wind_speed", -1, "wind_speed = -1 on day 1");
+    tampered("precipitation", -0.5, "precipitation = -0.5 on day 1");
+    tampered("pressure", 1, "pressure = 1 on day 1");
+    tampered("sunshine", 25, "sunshine = 25 on day 1");
+    tampered("longwave", nan, "longwave = nan on day 1");
+    tampered("global_radiation", -2, "global_radiation = -2 on day 1");
+    expect([](Points& p) { std::get<std::vector<double>>(p.attributes["latitude"])[0] = 91; },
+           "latitude [rad] = 91");
 }
 
 TEST(Climate, AirTablesSurviveTheirPoints)
@@ -156,6 +177,22 @@ TEST(Climate, DaylightSurvivesItsPoints)
     scene.points["daylight"].position.pop_back();
     EXPECT_THAT([&] { coefficients_of(scene, cells); },
                 ThrowsMessage<InvalidInput>(HasSubstr("daylight")));
+    auto expect = [&](auto&& change, const char* words) {
+        scene.points["daylight"] = daylight_points(c, cells);
+        change(scene.points["daylight"]);
+        EXPECT_THAT([&] { coefficients_of(scene, cells); },
+                    ThrowsMessage<InvalidInput>(HasSubstr(words)));
+    };
+    expect([](Points& p) { p.position[7].y += 0.06; }, "point 7 lies at");
+    auto link = [](std::int32_t code) {
+        return [code](Points& p) {
+            std::get<std::vector<std::int32_t>>(p.attributes["link_03"])[2] = code;
+        };
+    };
+    expect(link(static_cast<std::int32_t>(cells.size())), "link_03");
+    expect(link(std::numeric_limits<std::int32_t>::max()), "no cell of this surface");
+    expect(link(-57), "link_03 = -57 at point 2");
+    expect([](Points& p) { p.attributes.erase("bits_00"); }, "bits_00");
     scene.points["daylight"] = daylight_points(c, cells);
     scene.history.clear();
     EXPECT_THAT([&] { coefficients_of(scene, cells); },

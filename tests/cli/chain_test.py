@@ -211,7 +211,7 @@ class Help(CliTest):
                 if name in ("stage", "from", "write", "seed") or p["default"] is None:
                     continue
                 lines.append(f"{name} = {json.dumps(REQUIRED.get(stage, {}).get(name, p['default']))}")
-            self.write("defaults.toml", f"sekitei = 1\n{tables_before(stage)}[{stage}]\n" + "\n".join(lines) + "\n")
+            self.write("defaults.toml", f"sekitei = 1\n{tables_before(stage)}" + "\n".join(lines) + "\n")
             self.succeed("check", "defaults.toml")
 
     def test_the_reference_page_is_the_programs_own(self):

@@ -538,7 +538,7 @@ class BadScenes(HabitatTest):
         self.refuse(USAGE, ["humsu", "humus"], "soil", self.wind, "--soil", "humsu", "-o", "x.vdb")
         self.refuse(USAGE, ["covr", "cover"], "plot", self.moss, "--columns", "covr", "-o", "x.png")
         self.refuse(USAGE, ["mpss", "mps"], "wind", self.light, "--solver", "mpss", "-o", "x.vdb")
-        self.refuse(BAD_INPUT, ["soil_humidty"], "render", self.moss, "--field", "soil_humidty", "-o", "x.png", *PICTURE)
+        self.refuse(BAD_INPUT, ["soil_humidty", "soil_humidity"], "render", self.moss, "--field", "soil_humidty", "-o", "x.png", *PICTURE)
         self.refuse(BAD_INPUT, ["body", "surface_sdf"], "light", self.lantern, *LIGHT, "--surface", "body", "-o", "x.vdb")
         self.refuse(BAD_INPUT, ["water_surface", "float"], "light", self.lantern, *LIGHT, "--surface", "water_surface", "-o", "x.vdb")
 
@@ -614,6 +614,8 @@ class BadScenes(HabitatTest):
         self.refuse(USAGE, ["every", "write"], "check", "frames.toml")
         self.recipe(RECIPE.replace("[light]\nweather = \"days.csv\"\n\n", ""), "gap.toml")
         self.refuse(USAGE, ["wind: needs 'surf_normal'", "`light`"], "check", "gap.toml")
+        self.recipe(RECIPE + '[table]\nstage = "compare"\nfrom = "moss"\n', "one.toml")
+        self.refuse(USAGE, ["table.from", "two stages"], "check", "one.toml")
 
 
 if __name__ == "__main__":

@@ -303,7 +303,7 @@ class Mistakes(CliTest):
                 wanted.append(name)
             if not lines:
                 continue
-            text = f"sekitei = 1\n{tables_before(stage)}[{stage}]\n" + "\n".join(lines) + "\n"
+            text = f"sekitei = 1\n{tables_before(stage)}" + "\n".join(lines) + "\n"
             self.recipe(text, "bad.toml")
             done = self.refuse(USAGE, [], "check", "bad.toml")
             first = text.split("\n").index(lines[0]) + 1

@@ -86,10 +86,11 @@ def spring_weather(days=70):
 
 
 def tables_before(stage):
-    """Tables of a recipe in which `stage` may come next."""
+    """The text of a recipe up to the table of `stage`, whose own keys may follow."""
     chain = ROCK if stage in (*ROCK, "render") else HABITAT
     names = chain[:chain.index(stage)] if stage in chain else chain
-    return "".join(f"[{name}]\n" + "".join(f'{k} = "{v}"\n' for k, v in REQUIRED.get(name, {}).items()) for name in names)
+    return "".join(f"[{name}]\n" + "".join(f'{k} = "{v}"\n' for k, v in REQUIRED.get(name, {}).items()) for name in names) + (
+        f'[{stage}]\n' + ('from = ["soil", "moss"]\n' if stage == "compare" else ""))
 
 
 class Finished:
