@@ -114,12 +114,16 @@ void require_needs(Stage& stage, const Scene& scene)
     for (const auto& [name, grid] : scene.grids) present.push_back(name);
     for (const auto& [name, points] : scene.points) present.push_back(name);
     for (const auto& [name, mesh] : scene.meshes) present.push_back(name);
+    std::vector<std::string> missing;
     for (const std::string& need : stage.needs())
         if (std::find(present.begin(), present.end(), need) == present.end())
-            throw InvalidInput(fmt::format(
-                "{}: the scene has no '{}', present: {}{}", stage.info().name, need,
-                present.empty() ? "nothing" : fmt::format("{}", fmt::join(present, ", ")),
-                maker_hint(need)));
+            missing.push_back("'" + need + "'");
+    if (missing.empty()) return;
+    const std::string first = missing.front().substr(1, missing.front().size() - 2);
+    throw InvalidInput(fmt::format(
+        "{}: the scene has no {}, present: {}{}", stage.info().name, fmt::join(missing, ", "),
+        present.empty() ? "nothing" : fmt::format("{}", fmt::join(present, ", ")),
+        maker_hint(first)));
 }
 
 bool blames_own_file(Stage& stage, const StageContext& context, std::string_view message)
