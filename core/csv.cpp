@@ -15,7 +15,7 @@ namespace sekitei {
 namespace {
 
 constexpr std::size_t kMostTold = 1000;
-constexpr std::size_t kMostAtOnePlace = 3;  // a month of normals is wrong on each of its days
+constexpr std::size_t kMostAlike = 3;  // a month of normals is wrong on each of its days
 
 /// Bytes of the character that starts the text; 0 where it is not UTF-8.
 std::size_t utf8_length(std::string_view text)
@@ -145,9 +145,16 @@ void Problems::throw_if_any() const
             all += fmt::format("{}{}:{}:{}: {}", all.empty() ? "" : "\n", file_, place.first,
                                place.second, text);
         };
-        for (std::size_t k = 0; k < std::min(texts.size(), kMostAtOnePlace); ++k) line(texts[k]);
-        if (texts.size() > kMostAtOnePlace)
-            line(fmt::format("{} more like it", texts.size() - kMostAtOnePlace));
+        // Alike but for their numbers.
+        auto shape = [](std::string text) {
+            std::erase_if(text, [](char c) { return c == '.' || (c >= '0' && c <= '9'); });
+            return text;
+        };
+        std::map<std::string, std::size_t> told;
+        for (const std::string& text : texts)
+            if (++told[shape(text)] <= kMostAlike) line(text);
+        for (const auto& [text, count] : told)
+            if (count > kMostAlike) line(fmt::format("{} more like it", count - kMostAlike));
     }
     if (count_ > kMostTold) all += fmt::format("\n{}: {} more", file_, count_ - kMostTold);
     throw InvalidInput(all);

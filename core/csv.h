@@ -21,7 +21,7 @@ public:
     bool any() const { return count_ > 0; }
     /// @throws InvalidInput  all of them, one a line as `file:line:column: text`, in order of
     /// place;
-    ///                       beyond 1000, or 3 at one place, only their number
+    ///                       beyond 1000, or 3 alike at one place, only their number
     void throw_if_any() const;
 
 private:

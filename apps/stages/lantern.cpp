@@ -19,7 +19,20 @@ public:
         return kInfo;
     }
     ParamList params() override { return describe_params(params_); }
-    void validate() override { garden::validate(params_); }
+    void validate() override
+    {
+        using garden::Layout;
+        garden::validate(params_);
+        const bool garden = params_.layout == Layout::Garden;
+        if (params_.layout != Layout::Fence && params_.layout != Layout::SouthFence)
+            warn_unused(*this,
+                        {"fence_distance", "fence_height", "fence_length", "fence_thickness"},
+                        "without a fence in the layout");
+        if (params_.layout != Layout::Pond && !garden)
+            warn_unused(*this, {"pond_distance", "pond_width", "pond_length"},
+                        "without a pond in the layout");
+        if (!garden) warn_unused(*this, {"canopy_drag"}, "without the garden's trees");
+    }
 
     Need estimate(SceneOutline& outline, const StageContext&) override
     {

@@ -87,6 +87,8 @@ public:
     {
         validate_described("light", params_);
         light::validate(light_);
+        if (!params_.days) warn_unused(*this, {"repeat_year"}, "without days");
+        if (light_.bounces == 0) warn_unused(*this, {"links", "albedo"}, "with bounces = 0");
         if (params_.weather.empty())
             throw InvalidParameter(
                 "light: weather: which? give a JMA daily CSV, an EPW, monthly normals or a CSV "
@@ -126,8 +128,8 @@ public:
         light::Params p = light_;
         if (!p.ground && scene.domain.dims.z > 0) p.ground = scene.domain.transform.origin.z;
         const light::Coefficients coefficients =
-            light::trace(sites, occluders, weather.site->latitude,
-                         light::rain_winds(weather.days), p, progress.slice(0.25, 0.8));
+            light::trace(sites, occluders, weather.site->latitude, light::rain_winds(weather.days),
+                         p, progress.slice(0.25, 0.8));
         hiding.clear();
 
         const std::size_t n = cells.size();
@@ -187,8 +189,7 @@ private:
     Weather days(const StageContext& context) const
     {
         std::optional<Site> site;
-        if (params_.latitude)
-            site = Site{*params_.latitude * math::kPi / 180, 0};
+        if (params_.latitude) site = Site{*params_.latitude * math::kPi / 180, 0};
         const std::filesystem::path file = resolve(context, params_.weather);
         Weather weather = read_weather(file, site, params_.fill);
         if (weather.site && params_.longitude)
@@ -222,8 +223,8 @@ private:
         const bool level_set = scene.grids.at(name).grid_class == GridClass::LevelSet;
         const Domain& domain = scene.domain;
         if (level_set && !params_.cell) {
-            if (name != "surface_sdf") scene.put("surface_sdf", FloatGrid(grid), "m", "light",
-                                                 GridClass::LevelSet);
+            if (name != "surface_sdf")
+                scene.put("surface_sdf", FloatGrid(grid), "m", "light", GridClass::LevelSet);
             if (domain.dims.x > 0 && domain.transform == grid.transform()) return domain;
             return {};
         }
@@ -231,8 +232,7 @@ private:
         const double iso = level_set ? 0 : 0.5;
         TriMesh mesh = marching_tetrahedra(grid, iso, context.progress.slice(0, 0.05));
         if (mesh.triangles.empty())
-            throw InvalidInput(
-                fmt::format("light: the grid '{}' has no surface at {}", name, iso));
+            throw InvalidInput(fmt::format("light: the grid '{}' has no surface at {}", name, iso));
         const double cell = params_.cell.value_or(grid.transform().voxel);
         double area = 0;
         for (const auto& t : mesh.triangles) {

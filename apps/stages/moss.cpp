@@ -104,6 +104,10 @@ public:
         validate_described("moss", params_);
         moss::validate(rules_);
         moss::validate(propagation_);
+        if (!propagation_.spore_wind) warn_unused(*this, {"settling_speed"}, "without spore_wind");
+        if (params_.light_gate && !*params_.light_gate)
+            warn_unused(*this, {"light_compensation"}, "without light_gate");
+        if (!params_.days) warn_unused(*this, {"repeat_year"}, "without days");
         const std::vector<std::string> names = split_names(params_.species);
         if (names.empty()) throw InvalidParameter("moss: species: none; name at least one");
         for (const std::string& name : names)

@@ -441,6 +441,24 @@ print("RESULT " + json.dumps({"grids": grids, "vertices": len(data.vertices)}))
 HEAD = "# latitude = 40 deg\n# longitude = 141 deg\ndate,temperature [C],humidity [%],precipitation [mm],wind_speed [m/s],sunshine [h]\n"
 
 
+class Unread(HabitatTest):
+    def test_what_nothing_reads_is_told(self):
+        for words, options in ((["fence_height", "without a fence"], ["lantern", "--fence-height", "1m"]),
+                               (["pond_width", "without a pond"], ["lantern", "--layout", "fence", "--pond-width", "1m"]),
+                               (["canopy_drag", "trees"], ["lantern", "--canopy-drag", "1"]),
+                               (["repeat_year", "without days"], ["light", self.lantern, *LIGHT, "--repeat-year"]),
+                               (["links", "bounces = 0"], ["light", self.lantern, *LIGHT, "--bounces", "0", "--links", "4"]),
+                               (["settling_speed", "spore_wind"], ["moss", self.soil, "--settling-speed", "0.1"]),
+                               (["light_compensation", "light_gate"], ["moss", self.soil, "--no-light-gate", "--light-compensation", "3"])):
+            coarse = ["--cell", "5cm"] if options[0] == "lantern" else []
+            done = self.succeed(*options, *coarse, "-o", "x.vdb", "--force")
+            for word in ("warning:", *words):
+                self.assertIn(word, done.err)
+        for quiet in (["lantern", "--layout", "fence", "--fence-height", "1m", "--cell", "5cm"],
+                      ["moss", self.soil, "--spore-wind", "--settling-speed", "0.1"]):
+            self.assertNotIn("warning:", self.succeed(*quiet, "-o", "x.vdb", "--force").err)
+
+
 class BadWeather(HabitatTest):
     def bad(self, content, words, code=BAD_INPUT, *options):
         self.write("w.csv", content)
