@@ -133,7 +133,12 @@ struct Habitat {
     // One that lives in the sun among them.
     std::vector<moss::Species> species{moss::preset_species()[0], moss::preset_species()[1],
                                        moss::preset_species()[3]};
-    moss::Community community{species, {}, {.initial_count = 12000}, 7};
+    moss::Propagation propagation = [] {
+        moss::Propagation many;
+        many.initial_count = 12000;
+        return many;
+    }();
+    moss::Community community{species, {}, propagation, 7};
     Climate climate;
     const SurfaceCells& cells;
     moss::Surface surface;
