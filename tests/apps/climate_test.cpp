@@ -583,6 +583,28 @@ TEST(Climate, OverAYearSouthWallsGetMostLightAndNorthWallsLeast)
     EXPECT_NEAR(east / west, 1, 0.02);
 }
 
+TEST(Climate, RainBeatsTheWallItsWindComesFrom)
+{
+    Habitat habitat;
+    Scene scene = body(0.05, {-0.5, -0.5, 0}, {1, 1, 1.2}, [](Vec3d p) {
+        return box_distance(p, {0.01, 0.01, 0.3}, {0.3, 0.3, 0.6});
+    });
+    // West wind, but rain from the east.
+    habitat.light(scene, weather_csv(10, [](int d) {
+                      return Sky{
+                          .rain = d % 5 ? 0.0 : 9.0, .wind = 4, .direction = d % 5 ? 270.0 : 90.0};
+                  }));
+    const SurfaceCells cells = cells_of(scene);
+    const auto exposure = at_cells(scene, "rain_exposure");
+    auto wall = [&](Vec3f to) {
+        return mean_over(cells, exposure,
+                         [&](std::size_t i) { return dot(cells.normal[i], to) > 0.99f; });
+    };
+    EXPECT_NEAR(wall({1, 0, 0}), 4.0 / 6, 0.1);  // wind over the drops' fall
+    EXPECT_LT(wall({-1, 0, 0}), 0.05);
+    EXPECT_NEAR(wall({0, 0, 1}), 1, 0.05);
+}
+
 TEST(Climate, TheSouthernHemisphereIsTheNorthernMirrored)
 {
     // A bench with a wall in the north, at 40 N in late June; and its mirror image at 40 S at the
