@@ -129,8 +129,11 @@ public:
         wind::State before;
         std::string identity;
         if (!file.empty()) {
-            identity = hash_hex(params_json(describe_params(params)).dump() +
-                                content_hash(scene.grids.at("surf_area")));
+            std::string all = params_json(describe_params(params)).dump();
+            for (const char* name :
+                 {"surface_sdf", "surf_area", "obstacle_sdf", "water_surface", "canopy_RU"})
+                if (scene.has(name)) all += name + content_hash(scene.grids.at(name));
+            identity = hash_hex(all);
             if (fs::exists(file)) {
                 before = decode(read_file(file, 1ull << 36), file.string(), identity);
                 log::info("wind: going on where an earlier run stopped");

@@ -378,6 +378,10 @@ TEST(WindCheckpoint, AnInterruptedRunGoesOnToTheSameBytes)
     other["speed"] = 4;
     EXPECT_THAT([&] { run(again, "wind", other, context); },
                 ThrowsMessage<InvalidInput>(HasSubstr("of other parameters")));
+    Scene without_fence = start;
+    without_fence.grids.erase("obstacle_sdf");
+    EXPECT_THAT([&] { run(without_fence, "wind", kQuickWind, context); },
+                ThrowsMessage<InvalidInput>(HasSubstr("of another scene")));
     EXPECT_EQ(read_file(context.checkpoint), bytes);
 }
 
