@@ -55,7 +55,7 @@ constexpr std::pair<const char*, int WeatherDay::*> kWhole[] = {
 constexpr std::pair<double, double> kPossible[] = {{180, 340}, {0, 1},  {0, 5000},  {0, 150},
                                                    {0, 24},    {0, 24}, {300, 1200}};
 
-constexpr int kRock = 3;
+constexpr int kRock = 3;        // and the harder ones after it
 constexpr int kOwnSoil = 100;  // geology of a soil from a file
 constexpr float kWallSlope = 0.10f;
 
@@ -76,6 +76,23 @@ auto sums(std::size_t count, F&& values)
             return sum;
         },
         join);
+}
+
+/// The soil that ClimateParams::soil means: where the soil stage left its numbers, those, so that a
+/// file of soil is read once.
+soil::Soil own_soil(const Scene& scene, const ClimateParams& params,
+                    const std::filesystem::path& folder)
+{
+    if (const auto grid = scene.grids.find("geology"); grid != scene.grids.end())
+        if (const auto kept = grid->second.extra.find("soil"); kept != grid->second.extra.end()) {
+            soil::Soil soil;
+            const Json numbers = Json::parse(kept->get<std::string>(), nullptr, false);
+            for (const Param& p : describe_params(soil))
+                if (numbers.is_object() && numbers.contains(p.name)) p.set(numbers[p.name]);
+            soil::validate(soil);
+            return soil;
+        }
+    return find_soil(params.soil, folder);
 }
 
 /// Solid below each cell, straight down [mm], from 1 to 1000; 1 on walls and undersides.
@@ -427,8 +444,7 @@ Climate::Climate(const Scene& scene, const ClimateParams& params,
 
     // Soils: what the scene says, else the same everywhere.
     soils_ = soil::preset_soils();
-    const soil::Soil own = find_soil(params.soil, folder);
-    soils_.push_back(own);
+    soils_.push_back(own_soil(scene, params, folder));
     int id = kOwnSoil;
     for (std::size_t k = 0; k + 1 < soils_.size(); ++k)
         if (soils_[k].name == params.soil) id = static_cast<int>(k) + 1;
@@ -452,10 +468,11 @@ Climate::Climate(const Scene& scene, const ClimateParams& params,
         depth_ = cells_.from_grid(scene.floats("soil_h"), 1);
     else if (params.depth)
         depth_.assign(cells_.size(), static_cast<float>(*params.depth * 1000));
-    else if (id == kRock)
-        depth_.assign(cells_.size(), 20);
-    else
+    else {
         depth_ = thickness(surface, cells_, progress.slice(0.3, 0.4));
+        for (std::size_t i = 0; i < cells_.size(); ++i)
+            if (geology_[i] >= kRock && geology_[i] != kOwnSoil) depth_[i] = 20;
+    }
     capacity_.resize(cells_.size());
     for (std::size_t i = 0; i < cells_.size(); ++i) {
         if (!(depth_[i] > 0))
@@ -529,7 +546,10 @@ void Climate::advance(std::size_t index, std::vector<double>& water, std::span<c
     day.wind.resize(n);
     day.air_temperature.resize(n);
     day.air_humidity.resize(n);
-    const double pond = wind::water_temperature(day_of_year(w.year, w.month, w.day));
+    // Seasons are half a year apart on the southern hemisphere.
+    const int season = day_of_year(w.year, w.month, w.day) + (site_.latitude < 0 ? 183 : 0);
+    const double pond =
+        params_.water_temperature.value_or(wind::water_temperature((season - 1) % 366 + 1));
     const wind::Air air = wind::air_before(w, pond, tables_, params_.exchange);
     const std::vector<wind::Air> layers = wind::air_by_layer(w, pond, tables_, params_.exchange);
     parallel_for_range(

@@ -36,6 +36,7 @@ struct ClimateParams {
     std::string soil = "rock";
     std::optional<double> depth;
     double initial_water = 0.5;
+    std::optional<double> water_temperature;
     wind::Exchange exchange;
     soil::Params ground;
 
@@ -58,6 +59,8 @@ struct ClimateParams {
               "below each cell, 1 mm to 1 m");
         field("initial_water", &ClimateParams::initial_water, "", kFraction,
               "water of the first day as a share of what the soil can hold");
+        field("water_temperature", &ClimateParams::water_temperature, "K", between(273.15, 313.15),
+              "temperature of ponds; auto: 10 C in winter, 20 C in summer");
     }
 };
 
@@ -101,6 +104,10 @@ public:
 
     /// Memory of soil, wind and the water's paths, besides cells() and coefficients().
     std::size_t bytes() const;
+
+    /// Goes on with the weather from its beginning where it is shorter than `days`.
+    /// @throws InvalidParameter  it holds no whole year
+    void repeat(std::size_t days) { weather_ = select_days(weather_, 0, days, true); }
 
     /// Water of each cell at the start [mm].
     std::vector<double> initial_water() const;

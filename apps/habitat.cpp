@@ -147,6 +147,8 @@ void put_water(Scene& scene, const Climate& climate, const std::vector<double>& 
               stage);
     scene.put("soil_h", cells.to_grid(climate.depth()), "mm", stage);
     scene.put("geology", cells.to_grid(climate.geology()), stage);
+    soil::Soil own = climate.soils().back();
+    scene.grids.at("geology").extra["soil"] = params_json(describe_params(own)).dump();
 }
 
 void label(Scene& scene, const std::vector<std::string>& names, std::size_t day, Profile profile,
@@ -154,10 +156,10 @@ void label(Scene& scene, const std::vector<std::string>& names, std::size_t day,
 {
     for (const std::string& name : names)
         if (const auto grid = scene.grids.find(name); grid != scene.grids.end())
-            grid->second.extra = {
-                {"day", day},
-                {"profile", std::string(choice_names(profile)[static_cast<std::size_t>(profile)])},
-                {"seed", seed}};
+            grid->second.extra.update(
+                {{"day", day},
+                 {"profile", std::string(choice_names(profile)[static_cast<std::size_t>(profile)])},
+                 {"seed", seed}});
 }
 
 const std::vector<Column>& Statistics::columns()

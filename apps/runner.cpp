@@ -492,6 +492,8 @@ private:
             reason = "nothing changed";
             adopt(i, std::move(items), record);
             log::info("{:<12} unchanged", stage(i).name);
+            if (stage(i).process->info().reads_many)
+                show_table(read_file(result_path(i, key), 1u << 28));
         } else {
             if (reason.empty()) reason = reason_to_run(i, now);
             log::detail("{}: {}", stage(i).name, reason);

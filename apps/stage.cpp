@@ -6,6 +6,7 @@
 #include <algorithm>
 
 #include "apps/stages/stages.h"
+#include "core/csv.h"
 #include "core/error.h"
 #include "core/file_output.h"
 #include "core/log.h"
@@ -134,6 +135,30 @@ bool blames_own_file(Stage& stage, const StageContext& context, std::string_view
     return std::any_of(files.begin(), files.end(), [&](const std::filesystem::path& file) {
         return !file.empty() && message.starts_with(Stage::resolve(context, file).string() + ":");
     });
+}
+
+void show_table(const std::string& csv)
+{
+    std::vector<std::vector<std::string>> rows;
+    std::vector<std::size_t> width;
+    CsvReader reader(csv);
+    std::vector<CsvCell> cells;
+    for (std::string_view line; reader.next_line(line);) {
+        CsvReader::split(line, ',', cells);
+        rows.emplace_back();
+        for (std::size_t k = 0; k < cells.size(); ++k) {
+            rows.back().emplace_back(cells[k].text);
+            width.resize(std::max(width.size(), k + 1));
+            width[k] = std::max(width[k], cells[k].text.size());
+        }
+    }
+    for (const std::vector<std::string>& row : rows) {
+        std::string text;
+        for (std::size_t k = 0; k < row.size(); ++k)
+            text += k > 0 && number_of(row[k]) ? fmt::format("{:>{}}  ", row[k], width[k])
+                                               : fmt::format("{:<{}}  ", row[k], width[k]);
+        log::info("{}", text);
+    }
 }
 
 std::filesystem::path frame_path(const std::filesystem::path& file, int number)

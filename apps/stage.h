@@ -127,6 +127,9 @@ InvalidInput named_after(const std::string& file, const InvalidInput& error);
 /// Whether a message is about one of the files that `stage` reads besides its scene.
 bool blames_own_file(Stage& stage, const StageContext& context, std::string_view message);
 
+/// Tells people a table of comma-separated values, its columns aligned.
+void show_table(const std::string& csv);
+
 /// The file of one scene of a sequence: "moss.vdb" and 30 give "moss.0030.vdb".
 std::filesystem::path frame_path(const std::filesystem::path& file, int number);
 

@@ -33,6 +33,26 @@ struct Factor {
     double value;
 };
 
+/// The species of the moss stage, as it left their numbers.
+std::vector<moss::Species> species_of(const Scene& scene)
+{
+    std::vector<moss::Species> list;
+    if (!scene.has("moss_species")) return list;
+    const Json& extra = scene.grids.at("moss_species").extra;
+    const Json kinds =
+        extra.contains("species")
+            ? Json::parse(extra["species"].get<std::string>(), nullptr, false)
+            : Json();
+    for (const Json& kind : kinds.is_array() ? kinds : Json::array()) {
+        moss::Species species;
+        for (const Param& p : describe_params(species))
+            if (kind.is_object() && kind.contains(p.name)) p.set(kind[p.name]);
+        moss::validate(species);
+        list.push_back(std::move(species));
+    }
+    return list;
+}
+
 }  // namespace
 
 int command_explain(const std::string& file, const std::string& at, const Common& common)
@@ -74,7 +94,7 @@ int command_explain(const std::string& file, const std::string& at, const Common
         json[name] = value(name);
         text += fmt::format("  {:<28} {:>10.4g} {}\n", label, value(name), unit);
     };
-    text += "mean over the days of its weather\n";
+    text += "means over the days of the stages that made them\n";
     row("light_S", "light S", "W/m2");
     row("light_direct", "  of it direct", "W/m2");
     row("light_sky", "  of it from the sky", "W/m2");
@@ -114,9 +134,7 @@ int command_explain(const std::string& file, const std::string& at, const Common
 
     if (known("soil_Ts") && known("soil_rh") && known("light_S")) {
         std::vector<moss::Species> species;
-        std::vector<std::string> absent;
         moss::Rules rules;
-        const std::filesystem::path folder = std::filesystem::path(file).parent_path();
         if (const Json* made = params_of(scene, "moss")) {
             for (const Param& param : describe_params(rules))
                 if (made->contains(param.name) && !(*made)[param.name].is_null())
@@ -124,18 +142,7 @@ int command_explain(const std::string& file, const std::string& at, const Common
             const Json* soil = params_of(scene, "soil");
             if ((*made)["light_gate"].is_null() && soil && soil->value("profile", "") == "paper")
                 rules.light_gate = false;
-            for (const std::string& name : split_names((*made)["species"].get<std::string>())) {
-                // A species' file may be named from where the command or the recipe was.
-                const bool own = std::filesystem::path(name).extension() == ".toml";
-                if (own && !std::filesystem::exists(name) &&
-                    !std::filesystem::exists(folder / name)) {
-                    absent.push_back(name);
-                    continue;
-                }
-                species.push_back(find_species(name, own && !std::filesystem::exists(name)
-                                                         ? folder
-                                                         : std::filesystem::path()));
-            }
+            species = species_of(scene);
         } else
             species = moss::preset_species();
         text += "fitness at these means: temperature x humidity x light x gate = G\n";
@@ -166,8 +173,6 @@ int command_explain(const std::string& file, const std::string& at, const Common
                                 daily);
             json["species"].push_back(std::move(entry));
         }
-        for (const std::string& name : absent)
-            text += fmt::format("  {} is not here, so its factors are not known\n", name);
     }
     if (known("moss_growth")) {
         const std::vector<std::string> names = species_names(scene);

@@ -103,7 +103,7 @@ Shown show_attribute(const TriMesh& mesh, const std::string& name)
             [&](std::size_t i) {
                 const auto v = static_cast<double>((*floats)[i]);
                 shown.colours[i] =
-                    std::isfinite(v) ? colour_of_value((v - low) / span) : Vec3f(0.5f, 0, 0.3f);
+                    std::isfinite(v) ? colour_of_value((v - low) / span) : Vec3f(0.3f);
             },
             4096);
     } else if (const auto* ints = std::get_if<std::vector<std::int32_t>>(attribute)) {

@@ -61,7 +61,8 @@ public:
                            {"geology", "soil_h", "soil_water", "soil_theta", "soil_beta", "soil_Ts",
                             "soil_rh", "soil_E", "soil_runoff", "statistics", "moss",
                             "moss_species", "moss_growth", "moss_growth_max", "moss_age",
-                            "moss_cover", "seed_kind", "seed_species", "seed_age"},
+                            "moss_cover", "moss_id", "seed_kind", "seed_species", "seed_age",
+                            "seed_id"},
                            false,
                            {"light", "soil"}};
             info.needs.push_back("light_S");
@@ -129,6 +130,10 @@ public:
         std::vector<moss::Species> species;
         for (const std::string& name : split_names(params_.species))
             species.push_back(find_species(name, context.folder));
+        std::erase_if(scene.grids, [](const auto& grid) {  // of species that are here no more
+            return grid.first.starts_with("suit_") && grid.second.stage == "moss";
+        });
+        if (!params_.checkpoint.empty()) check_target(resolve(context, params_.checkpoint));
         ClimateParams ground;
         if (const Json* made = params_of(scene, "soil"))
             for (const Param& p : describe(ground))
@@ -137,7 +142,7 @@ public:
         const moss::Community community{species, rules_, propagation_, context.seed};
         moss::validate(community);
 
-        const Climate climate(scene, ground, context.folder, context.progress.slice(0, 0.1));
+        Climate climate(scene, ground, context.folder, context.progress.slice(0, 0.1));
         const SurfaceCells& cells = climate.cells();
         const std::size_t n = cells.size(), there = climate.weather().days.size();
         check_memory("moss", memory(double(n)), context.memory_limit);
@@ -147,6 +152,7 @@ public:
                 "moss: days = {}, but the scene's weather has {}; use --repeat-year to begin it "
                 "anew, or give the light stage more days",
                 days, there));
+        if (days > there) climate.repeat(days);
 
         const FloatGrid& level_set = scene.floats("surface_sdf");
         const moss::Surface surface = moss::surface_of(cells);
@@ -172,7 +178,7 @@ public:
         std::vector<std::vector<float>> fitness(species.size(), std::vector<float>(n));
         const Progress progress = context.progress.slice(0.1, 1);
         for (auto d = static_cast<std::size_t>(now.population.day); d < days; ++d) {
-            climate.advance(d % there, now.water, now.population.cover, day, progress.slice(1, 1));
+            climate.advance(d, now.water, now.population.cover, day, progress.slice(1, 1));
             for (std::size_t s = 0; s < species.size(); ++s) {
                 moss::fitness(species[s], rules_, day.ground.temperature, day.ground.humidity,
                               day.light.total, fitness[s], progress.slice(1, 1));
@@ -310,6 +316,12 @@ private:
         scene.put("seed_kind", cells.to_grid(moss::seed_kind(now.population)), "moss");
         scene.put("seed_species", cells.to_grid(moss::seed_species(now.population)), "moss");
         scene.put("seed_age", cells.to_grid(moss::seed_age(now.population)), "moss");
+        scene.put("moss_id", cells.to_grid(numbers(now.population.id)), "moss");
+        scene.put("seed_id", cells.to_grid(numbers(now.population.seed_id)), "moss");
+        Json kinds = Json::array();
+        for (moss::Species kind : community.species)
+            kinds.push_back(params_json(describe_params(kind)));
+        scene.grids.at("moss_species").extra["species"] = kinds.dump();
         for (std::size_t s = 0; s < community.species.size(); ++s)
             scene.put("suit_" + community.species[s].name, cells.to_grid(now.fitness[s]), "",
                       "moss");
@@ -317,6 +329,12 @@ private:
             moss::to_points(now.population, community, surface, &level_set, now.humidity);
         scene.points["moss"].stage = "moss";
         scene.points["statistics"] = now.statistics.points("moss");
+    }
+
+    /// Ids as a grid holds them. Two thousand million plants are more than any run sees.
+    static std::vector<std::int32_t> numbers(const std::vector<std::uint64_t>& ids)
+    {
+        return {ids.begin(), ids.end()};
     }
 
     static double memory(double cells) { return 2e8 + cells * 900; }

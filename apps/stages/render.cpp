@@ -131,8 +131,11 @@ private:
             params.ground_height = scene.domain.transform.origin.z;
         const std::string grid = grid_of_field(params.field);
         if (!params.field.empty() && scene.has(grid)) {
-            const TriMesh painted = with_field(rock, scene, grid);
-            params.field = grid;
+            const std::string& unit = scene.grids.at(grid).unit;
+            const std::string shown =
+                unit.empty() ? params.field : fmt::format("{} [{}]", params.field, unit);
+            const TriMesh painted = with_field(rock, scene, grid, shown);
+            params.field = shown;
             picture = render::run(painted, params, context.seed, context.progress);
             return;
         }

@@ -37,7 +37,8 @@ std::vector<float> around_vertices(const TriMesh& mesh, const LeafGrid<T>& grid)
                 const Vec3d p = grid.transform().voxels(Vec3d(mesh.vertices[i]));
                 const Coord c(static_cast<int>(std::floor(p.x)), static_cast<int>(std::floor(p.y)),
                               static_cast<int>(std::floor(p.z)));
-                double sum = 0, weight = 0;
+                double sum = 0, weight = 0, most = 0;
+                float nearest = 0;
                 for (int d = 0; d < 27; ++d) {
                     const Coord at = c + Coord(d / 9 - 1, d / 3 % 3 - 1, d % 3 - 1);
                     if (!reader.active(at)) continue;
@@ -45,9 +46,14 @@ std::vector<float> around_vertices(const TriMesh& mesh, const LeafGrid<T>& grid)
                     const double w = 1 / (0.05 + dot(away, away));
                     sum += w * double(reader.value(at));
                     weight += w;
+                    if (w > most) most = w, nearest = static_cast<float>(reader.value(at));
                 }
-                values[i] = weight > 0 ? static_cast<float>(sum / weight)
-                                       : std::numeric_limits<float>::quiet_NaN();
+                // Kinds and numbers have no mean.
+                if constexpr (std::is_integral_v<T>)
+                    values[i] = weight > 0 ? nearest : std::numeric_limits<float>::quiet_NaN();
+                else
+                    values[i] = weight > 0 ? static_cast<float>(sum / weight)
+                                           : std::numeric_limits<float>::quiet_NaN();
             }
         },
         4096);
@@ -136,14 +142,15 @@ std::string nearest_field(const std::string& field)
     return near.empty() || near == field ? "" : fmt::format("; did you mean '{}'?", near);
 }
 
-TriMesh with_field(const TriMesh& mesh, const Scene& scene, const std::string& name)
+TriMesh with_field(const TriMesh& mesh, const Scene& scene, const std::string& name,
+                   const std::string& shown)
 {
     TriMesh painted = mesh;
     const Grid& grid = scene.grids.at(name);
     if (const auto* floats = std::get_if<FloatGrid>(&grid.values))
-        painted.vertex_attributes[name] = around_vertices(mesh, *floats);
+        painted.vertex_attributes[shown] = around_vertices(mesh, *floats);
     else if (const auto* ints = std::get_if<IntGrid>(&grid.values))
-        painted.vertex_attributes[name] = around_vertices(mesh, *ints);
+        painted.vertex_attributes[shown] = around_vertices(mesh, *ints);
     else
         throw InvalidInput(fmt::format("render: field = {}: the grid holds {}, expected numbers",
                                        name, grid.type_name()));

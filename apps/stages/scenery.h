@@ -28,9 +28,10 @@ std::string grid_of_field(const std::string& field);
 /// near.
 std::string nearest_field(const std::string& field);
 
-/// The mesh with a vertex attribute `grid`: the mean of the surface cells around each vertex,
-/// nearer ones counting more. Vertices without a cell near get NaN.
+/// The mesh with a vertex attribute `shown`: the mean of the surface cells around each vertex,
+/// nearer ones counting more; of whole numbers the nearest. Vertices without a cell near get NaN.
 /// @throws InvalidInput  not a grid of numbers
-TriMesh with_field(const TriMesh& mesh, const Scene& scene, const std::string& grid);
+TriMesh with_field(const TriMesh& mesh, const Scene& scene, const std::string& grid,
+                   const std::string& shown);
 
 }  // namespace sekitei::apps

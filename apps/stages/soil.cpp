@@ -23,7 +23,12 @@ public:
                                      {"light"}};
         return kInfo;
     }
-    std::vector<std::string> uses() override { return climate_uses(); }
+    std::vector<std::string> uses() override
+    {
+        std::vector<std::string> names = climate_uses();
+        names.push_back("light_S");
+        return names;
+    }
     std::vector<std::filesystem::path> files() override
     {
         const std::filesystem::path file(params_.soil);
@@ -49,6 +54,12 @@ public:
 
     Json run(Scene& scene, const StageContext& context) override
     {
+        // What an earlier run of this stage made is not given by anybody.
+        for (const char* name : {"geology", "soil_h"})
+            if (const auto grid = scene.grids.find(name);
+                grid != scene.grids.end() &&
+                (grid->second.stage == "soil" || grid->second.stage == "moss"))
+                scene.grids.erase(grid);
         const Climate climate(scene, params_, context.folder, context.progress.slice(0, 0.2));
         const SurfaceCells& cells = climate.cells();
         const std::size_t n = cells.size(), days = climate.weather().days.size();
@@ -56,6 +67,9 @@ public:
         std::vector<double> water = climate.initial_water();
         GroundMeans means(climate);
         Statistics statistics(0);
+        if (scene.has("light_S"))
+            statistics.choose(cells, cells.from_grid(scene.floats("light_S"), 0),
+                              scene.domain.dims.z > 0 ? scene.domain.transform.origin.z : 0);
         ClimateDay day;
         const Progress progress = context.progress.slice(0.2, 1);
         for (std::size_t d = 0; d < days; ++d) {

@@ -80,6 +80,17 @@ public:
                     "plot: columns: there is no column '{}'{}", name,
                     near.empty() ? "" : fmt::format(", did you mean '{}'?", near)));
             }
+        auto unit_of = [](const std::string& name) {
+            for (const Column& column : Statistics::columns())
+                if (column.name == name) return column.unit;
+            return std::string();
+        };
+        for (const std::string& name : names_)
+            if (unit_of(name) != unit_of(names_[0]))
+                throw InvalidParameter(fmt::format(
+                    "plot: columns: {} is in {}, {} in {}; one plot has one axis, draw two", names_[0],
+                    unit_of(names_[0]).empty() ? "no unit" : unit_of(names_[0]), name,
+                    unit_of(name).empty() ? "no unit" : unit_of(name)));
     }
     Need estimate(SceneOutline&, const StageContext&) override { return {0, 1e8, 1e6}; }
 

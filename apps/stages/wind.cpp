@@ -144,7 +144,12 @@ public:
                       [&](const wind::State& state) {
                           if (!file.empty()) write_file(file, encode(state, identity));
                       });
-        for (const std::string& note : result.notes) log::info("wind: {}", note);
+        for (const std::string& note : result.notes) {
+            if (std::find(plan.notes.begin(), plan.notes.end(), note) == plan.notes.end())
+                log::warning("wind: {}", note);
+            else
+                log::info("wind: {}", note);
+        }
         for (std::size_t k = 0; k < 8; ++k)
             scene.put(fmt::format("wind_ratio_{}", k), cells.to_grid(result.ratio[k]), "", "wind");
         scene.points["air_tables"] = table_points(result.tables);
