@@ -55,7 +55,7 @@ constexpr std::pair<const char*, int WeatherDay::*> kWhole[] = {
 constexpr std::pair<double, double> kPossible[] = {{180, 340}, {0, 1},  {0, 5000},  {0, 150},
                                                    {0, 24},    {0, 24}, {300, 1200}};
 
-constexpr int kRock = 3;        // and the harder ones after it
+constexpr int kRock = 3;       // and the harder ones after it
 constexpr int kOwnSoil = 100;  // geology of a soil from a file
 constexpr float kWallSlope = 0.10f;
 
@@ -516,8 +516,8 @@ std::size_t Climate::bytes() const
 {
     auto size = [](const auto& v) { return v.capacity() * sizeof(v[0]); };
     std::size_t sum = size(geology_) + size(soil_index_) + size(depth_) + size(capacity_) +
-                      size(layer_) + size(paths_.order) + size(paths_.begin) +
-                      size(paths_.target) + size(paths_.share);
+                      size(layer_) + size(paths_.order) + size(paths_.begin) + size(paths_.target) +
+                      size(paths_.share);
     for (const auto& ratio : wind_ratio_) sum += size(ratio);
     return sum;
 }

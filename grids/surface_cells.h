@@ -22,8 +22,8 @@ struct SurfaceCells {
     /// At the centre [m], from -dx to 0: with air beside it a cell cannot lie deeper, whatever a
     /// level set says where it is no distance (slabs of one voxel).
     std::vector<float> sdf;
-    std::vector<float> area;      ///< dx^2 / max |n_k| [m^2], exact for planes
-    IntGrid index;                ///< cell number at each surface voxel, background -1
+    std::vector<float> area;  ///< dx^2 / max |n_k| [m^2], exact for planes
+    IntGrid index;            ///< cell number at each surface voxel, background -1
 
     std::size_t size() const { return voxel.size(); }
     /// Where rays start: p - sdf n + dx / 4 n.

@@ -23,7 +23,7 @@ namespace sekitei {
 struct ReadOptions {
     std::set<std::string> only;      ///< names of grids to load; empty = all
     std::set<std::string> if_there;  ///< with `only`: further ones that may be absent
-    bool keep_foreign = true;    ///< load grids of other types to write them back
+    bool keep_foreign = true;        ///< load grids of other types to write them back
     bool check_hashes = true;
     bool fix_nan = false;     ///< replace NaN and infinity by the background, with a warning
     double memory_limit = 0;  ///< bytes; 0 = none. Checked against the file before loading

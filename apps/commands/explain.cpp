@@ -39,10 +39,9 @@ std::vector<moss::Species> species_of(const Scene& scene)
     std::vector<moss::Species> list;
     if (!scene.has("moss_species")) return list;
     const Json& extra = scene.grids.at("moss_species").extra;
-    const Json kinds =
-        extra.contains("species")
-            ? Json::parse(extra["species"].get<std::string>(), nullptr, false)
-            : Json();
+    const Json kinds = extra.contains("species")
+                           ? Json::parse(extra["species"].get<std::string>(), nullptr, false)
+                           : Json();
     for (const Json& kind : kinds.is_array() ? kinds : Json::array()) {
         moss::Species species;
         for (const Param& p : describe_params(species))

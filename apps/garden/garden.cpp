@@ -116,11 +116,11 @@ LeafGrid<T> grid_of(const Transform& transform, Vec3d lower, Vec3d upper, T back
 IntGrid water(const std::function<bool(double, double)>& inside, double reach)
 {
     const Transform transform{{}, kWaterVoxel};
-    return grid_of<std::int32_t>(
-        transform, {-reach, -reach, -kWaterVoxel}, {reach, reach, 0}, 0, [&](Coord c) {
-            const Vec3d w = transform.world(centre_of(c));
-            return c.z == -1 && inside(w.x, w.y) ? 1 : 0;
-        });
+    return grid_of<std::int32_t>(transform, {-reach, -reach, -kWaterVoxel}, {reach, reach, 0}, 0,
+                                 [&](Coord c) {
+                                     const Vec3d w = transform.world(centre_of(c));
+                                     return c.z == -1 && inside(w.x, w.y) ? 1 : 0;
+                                 });
 }
 
 /// Square clusters of leaves, most of them near the crown's skin where leaves get light.
@@ -140,10 +140,9 @@ Points leaves_of(const std::vector<Tree>& list, std::uint64_t seed)
                 const double flat = std::sqrt(1 - z * z);
                 const Vec3d way{flat * math::cos(angle), flat * math::sin(angle), z};
                 const double depth = 0.5 + 0.55 * std::sqrt(draw(2));
-                points.position.push_back(lump.centre +
-                                          Vec3d(way.x * lump.radius * depth,
-                                                way.y * lump.radius * depth,
-                                                way.z * lump.height / 2 * depth));
+                points.position.push_back(lump.centre + Vec3d(way.x * lump.radius * depth,
+                                                              way.y * lump.radius * depth,
+                                                              way.z * lump.height / 2 * depth));
                 const Vec3d tilt = way * 0.5 + Vec3d(1.4 * (draw(3) - 0.5), 1.4 * (draw(4) - 0.5),
                                                      0.3 + 0.6 * draw(6));
                 normals.push_back(Vec3f(tilt / length(tilt)));
@@ -169,16 +168,14 @@ Scene make(const Params& p, std::uint64_t seed, const Progress& progress)
     // The box begins at the ground: below it the base goes on and has no cells.
     // A quarter of a cell apart from the lantern's planes, most of which lie on multiples of 1 cm:
     // a plane through cell centres would be inside or outside by rounding.
-    const Transform transform{
-        {-v * std::ceil(kLanternRadius / v + 6) - v / 4,
-         -v * std::ceil(kLanternRadius / v + 6) - v / 4, -v / 4},
-        v};
+    const Transform transform{{-v * std::ceil(kLanternRadius / v + 6) - v / 4,
+                               -v * std::ceil(kLanternRadius / v + 6) - v / 4, -v / 4},
+                              v};
     const double width = 2 * (kLanternRadius / v + 6), height = kLanternHeight / v + 6;
     scene.domain = {{int(std::ceil(width)) + 1, int(std::ceil(width)) + 1, int(std::ceil(height))},
                     transform};
-    scene.put("surface_sdf",
-              level_set_from_mesh(lantern(6 * v), transform, progress.slice(0, 0.5)), "m",
-              "lantern", GridClass::LevelSet);
+    scene.put("surface_sdf", level_set_from_mesh(lantern(6 * v), transform, progress.slice(0, 0.5)),
+              "m", "lantern", GridClass::LevelSet);
 
     const bool pond = p.layout == Layout::Pond || p.layout == Layout::Garden;
     const double reach = p.layout == Layout::Garden ? p.pond_distance + p.pond_width : 0;
@@ -216,26 +213,24 @@ Scene make(const Params& p, std::uint64_t seed, const Progress& progress)
         // Planes on multiples of 10 cm would run through cell centres; see above.
         const Transform coarse{{kObstacleVoxel / 4, kObstacleVoxel / 4, kObstacleVoxel / 4},
                                kObstacleVoxel};
-        scene.put("obstacle_sdf",
-                  level_set_from_mesh(obstacles, coarse, progress.slice(0.5, 1)), "m", "lantern",
-                  GridClass::LevelSet);
+        scene.put("obstacle_sdf", level_set_from_mesh(obstacles, coarse, progress.slice(0.5, 1)),
+                  "m", "lantern", GridClass::LevelSet);
     }
     if (pond) {
         const double islet = p.pond_distance;
-        IntGrid surface =
-            p.layout == Layout::Garden
-                ? water(
-                        [&](double x, double y) {
-                            const double r = std::sqrt(x * x + y * y);
-                            return r > islet && r < reach;
-                        },
-                        reach + 1)
-                : water(
-                        [&](double x, double y) {
-                            return x < -islet && x > -islet - p.pond_width &&
-                                   std::abs(y) < p.pond_length / 2;
-                        },
-                        islet + p.pond_width + p.pond_length);
+        IntGrid surface = p.layout == Layout::Garden
+                              ? water(
+                                    [&](double x, double y) {
+                                        const double r = std::sqrt(x * x + y * y);
+                                        return r > islet && r < reach;
+                                    },
+                                    reach + 1)
+                              : water(
+                                    [&](double x, double y) {
+                                        return x < -islet && x > -islet - p.pond_width &&
+                                               std::abs(y) < p.pond_length / 2;
+                                    },
+                                    islet + p.pond_width + p.pond_length);
         scene.put("water_surface", std::move(surface), "lantern");
     }
     return scene;

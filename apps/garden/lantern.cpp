@@ -98,14 +98,14 @@ void strip(Builder& to, const std::vector<Vec3d>& outer, const std::vector<Vec3d
 void icosphere(Builder& to, Vec3d centre, double radius)
 {
     const double g = (1 + std::sqrt(5.0)) / 2;
-    std::vector<Vec3d> v = {{-1, g, 0}, {1, g, 0},   {-1, -g, 0}, {1, -g, 0},
-                            {0, -1, g}, {0, 1, g},   {0, -1, -g}, {0, 1, -g},
-                            {g, 0, -1}, {g, 0, 1},   {-g, 0, -1}, {-g, 0, 1}};
+    std::vector<Vec3d> v = {{-1, g, 0}, {1, g, 0}, {-1, -g, 0}, {1, -g, 0},
+                            {0, -1, g}, {0, 1, g}, {0, -1, -g}, {0, 1, -g},
+                            {g, 0, -1}, {g, 0, 1}, {-g, 0, -1}, {-g, 0, 1}};
     for (Vec3d& p : v) p = p / length(p);
     std::vector<std::array<int, 3>> faces = {
-        {0, 11, 5}, {0, 5, 1},  {0, 1, 7},   {0, 7, 10}, {0, 10, 11}, {1, 5, 9}, {5, 11, 4},
-        {11, 10, 2}, {10, 7, 6}, {7, 1, 8},   {3, 9, 4},  {3, 4, 2},   {3, 2, 6}, {3, 6, 8},
-        {3, 8, 9},  {4, 9, 5},  {2, 4, 11},  {6, 2, 10}, {8, 6, 7},   {9, 8, 1}};
+        {0, 11, 5},  {0, 5, 1},  {0, 1, 7},  {0, 7, 10}, {0, 10, 11}, {1, 5, 9}, {5, 11, 4},
+        {11, 10, 2}, {10, 7, 6}, {7, 1, 8},  {3, 9, 4},  {3, 4, 2},   {3, 2, 6}, {3, 6, 8},
+        {3, 8, 9},   {4, 9, 5},  {2, 4, 11}, {6, 2, 10}, {8, 6, 7},   {9, 8, 1}};
     for (int level = 0; level < 3; ++level) {
         std::map<std::pair<int, int>, int> middles;
         auto middle = [&](int a, int b) {
@@ -142,7 +142,8 @@ TriMesh lantern(double sunk)
         if (p.z < 0.15) return side < 0.25;
         if (p.z > 0.75 && p.z < 0.85) return side < 0.22;
         if (p.z < 0.85 || p.z > 1.13) return false;
-        const bool window = p.z > 0.92 && p.z < 1.06 && std::min(std::abs(p.x), std::abs(p.y)) < 0.07;
+        const bool window =
+            p.z > 0.92 && p.z < 1.06 && std::min(std::abs(p.x), std::abs(p.y)) < 0.07;
         return side < 0.16 && !window;
     };
     Builder to;
@@ -159,10 +160,14 @@ TriMesh lantern(double sunk)
                              z1 = zs[k + 1];
                 // Faces under the shaft and the roof are made below.
                 const bool under_shaft = std::max({std::abs(x0 + x1), std::abs(y0 + y1)}) < 0.32;
-                if (!cell(i + 1, j, k)) to.quad({x1, y0, z0}, {x1, y1, z0}, {x1, y1, z1}, {x1, y0, z1});
-                if (!cell(i - 1, j, k)) to.quad({x0, y0, z0}, {x0, y0, z1}, {x0, y1, z1}, {x0, y1, z0});
-                if (!cell(i, j + 1, k)) to.quad({x0, y1, z0}, {x0, y1, z1}, {x1, y1, z1}, {x1, y1, z0});
-                if (!cell(i, j - 1, k)) to.quad({x0, y0, z0}, {x1, y0, z0}, {x1, y0, z1}, {x0, y0, z1});
+                if (!cell(i + 1, j, k))
+                    to.quad({x1, y0, z0}, {x1, y1, z0}, {x1, y1, z1}, {x1, y0, z1});
+                if (!cell(i - 1, j, k))
+                    to.quad({x0, y0, z0}, {x0, y0, z1}, {x0, y1, z1}, {x0, y1, z0});
+                if (!cell(i, j + 1, k))
+                    to.quad({x0, y1, z0}, {x0, y1, z1}, {x1, y1, z1}, {x1, y1, z0});
+                if (!cell(i, j - 1, k))
+                    to.quad({x0, y0, z0}, {x1, y0, z0}, {x1, y0, z1}, {x0, y0, z1});
                 if (!cell(i, j, k + 1) && !(z1 == 0.15 && under_shaft) && z1 != 1.13)
                     to.quad({x0, y0, z1}, {x1, y0, z1}, {x1, y1, z1}, {x0, y1, z1});
                 if (!cell(i, j, k - 1) && !(z0 == 0.75 && under_shaft))
@@ -178,8 +183,8 @@ TriMesh lantern(double sunk)
     for (std::size_t j = 0; j < n; ++j)
         for (std::size_t i = 0; i < n; ++i)
             if (std::max(std::abs(xs[i] + xs[i + 1]), std::abs(xs[j] + xs[j + 1])) > 0.32)
-                to.quad({xs[i], xs[j], 1.13}, {xs[i], xs[j + 1], 1.13}, {xs[i + 1], xs[j + 1], 1.13},
-                        {xs[i + 1], xs[j], 1.13});
+                to.quad({xs[i], xs[j], 1.13}, {xs[i], xs[j + 1], 1.13},
+                        {xs[i + 1], xs[j + 1], 1.13}, {xs[i + 1], xs[j], 1.13});
     strip(to, square_ring(xs, kLanternRadius, 1.13),
           square_ring({-kRoofTop, kRoofTop}, kRoofTop, 1.35), false);
     to.quad({-kRoofTop, -kRoofTop, 1.35}, {kRoofTop, -kRoofTop, 1.35}, {kRoofTop, kRoofTop, 1.35},

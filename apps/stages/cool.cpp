@@ -55,12 +55,11 @@ public:
     {
         const IntGrid& region = scene.ints("region_coarse");
         const lava::PresetDefaults defaults = recommended(scene);
-        const int steps = defaults.generic ? cooling::suitable_steps(region, scene.heat_domain,
-                                                                     params_.alpha,
-                                                                     defaults.heat_steps)
-                                           : defaults.heat_steps;
-        const cooling::Inputs inputs{region, scene.heat_domain, steps,
-                                     defaults.plateau_share};
+        const int steps = defaults.generic
+                              ? cooling::suitable_steps(region, scene.heat_domain, params_.alpha,
+                                                        defaults.heat_steps)
+                              : defaults.heat_steps;
+        const cooling::Inputs inputs{region, scene.heat_domain, steps, defaults.plateau_share};
         check_memory("cool", scene.heat_domain.voxel_count() * kBytesPerCell, context.memory_limit);
 
         cooling::Checkpoint checkpoint;
@@ -94,7 +93,8 @@ public:
         scene.put("temperature", std::move(result.temperature), "K", "cool");
         scene.put("temperature_gradient", std::move(result.gradient), "", "cool",
                   "covariant normalize");
-        scene.put("temperature_gradient_mag", std::move(result.gradient_magnitude), "K/cell", "cool");
+        scene.put("temperature_gradient_mag", std::move(result.gradient_magnitude), "K/cell",
+                  "cool");
         return {{"steps", result.steps}, {"last_change_K", result.last_change}};
     }
 

@@ -77,7 +77,8 @@ public:
         joints::validate(params_);
         if (params_.target_cv) warn_unused(*this, {"maturity"}, "with target_cv");
         if (!files_.seeds.empty())
-            warn_unused(*this, {"spacing", "count", "seed_radius", "seed_mode", "maturity", "target_cv"},
+            warn_unused(*this,
+                        {"spacing", "count", "seed_radius", "seed_mode", "maturity", "target_cv"},
                         "with seeds of your own");
     }
 
@@ -123,7 +124,8 @@ public:
     }
 
 private:
-    /// Bytes at the peak: columns, arcs, regions and buffers a voxel, and what does not grow with them.
+    /// Bytes at the peak: columns, arcs, regions and buffers a voxel, and what does not grow with
+    /// them.
     double memory(double voxels) const { return 1e8 + voxels * (params_.arc ? 11 : 7); }
 
     joints::Params params_;

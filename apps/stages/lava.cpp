@@ -40,7 +40,8 @@ IntGrid whole_numbers(const FloatGrid& floats, const std::string& file)
                 "{}: grid 'region' holds {}, must be 0 (lava), 1 (cold) or 2 (slow)", file, value));
         return id;
     };
-    auto ids = IntGrid::uninitialised(floats.topology(), floats.transform(), id_of(floats.background()));
+    auto ids =
+        IntGrid::uninitialised(floats.topology(), floats.transform(), id_of(floats.background()));
     for (std::size_t leaf = 0; leaf < floats.leaf_count(); ++leaf) {
         ids.mask(leaf) = floats.mask(leaf);
         for (int k = 0; k < kLeafSize; ++k) ids.values(leaf)[k] = id_of(floats.at(leaf, k));
@@ -85,8 +86,10 @@ public:
                          "slow_thickness"},
                         why);
         if (!volume) warn_unused(*this, {"volume"}, why);
-        if (!map && !mesh && !volume) warn_unused(*this, {"slow", "slow_below", "margin"}, why);
-        else warn_unused(*this, {"noise_amplitude", "noise_beta"}, why);
+        if (!map && !mesh && !volume)
+            warn_unused(*this, {"slow", "slow_below", "margin"}, why);
+        else
+            warn_unused(*this, {"noise_amplitude", "noise_beta"}, why);
     }
 
     Need estimate(SceneOutline& outline, const StageContext& context) override

@@ -49,7 +49,8 @@ public:
 
     Need estimate(SceneOutline& outline, const StageContext&) override
     {
-        // A cube of n voxels has 6 n^(2/3) faces with about four triangles each; joints double that.
+        // A cube of n voxels has 6 n^(2/3) faces with about four triangles each; joints double
+        // that.
         const double triangles = 50 * std::pow(std::max(1.0, outline.lava_voxels), 2.0 / 3);
         return {outline.lava_voxels, memory(triangles), triangles * 38};
     }

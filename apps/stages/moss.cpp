@@ -52,19 +52,20 @@ public:
     const StageInfo& info() const override
     {
         static const StageInfo kInfo = [] {
-            StageInfo info{"moss",
-                           "1",
-                           "mosses germinate, grow, spread and die where the climate suits them",
-                           OutputKind::Scene,
-                           true,
-                           climate_needs(),
-                           {"geology", "soil_h", "soil_water", "soil_theta", "soil_beta", "soil_Ts",
-                            "soil_rh", "soil_E", "soil_runoff", "statistics", "moss",
-                            "moss_species", "moss_growth", "moss_growth_max", "moss_age",
-                            "moss_cover", "moss_id", "seed_kind", "seed_species", "seed_age",
-                            "seed_id"},
-                           false,
-                           {"light", "soil"}};
+            StageInfo info{
+                "moss",
+                "1",
+                "mosses germinate, grow, spread and die where the climate suits them",
+                OutputKind::Scene,
+                true,
+                climate_needs(),
+                {"geology",    "soil_h",       "soil_water",  "soil_theta",      "soil_beta",
+                 "soil_Ts",    "soil_rh",      "soil_E",      "soil_runoff",     "statistics",
+                 "moss",       "moss_species", "moss_growth", "moss_growth_max", "moss_age",
+                 "moss_cover", "moss_id",      "seed_kind",   "seed_species",    "seed_age",
+                 "seed_id"},
+                false,
+                {"light", "soil"}};
             info.needs.push_back("light_S");
             return info;
         }();

@@ -76,9 +76,9 @@ public:
         for (const std::string& name : names_)
             if (std::find(known.begin(), known.end(), name) == known.end()) {
                 const std::string near = nearest_name(name, known);
-                throw InvalidParameter(fmt::format(
-                    "plot: columns: there is no column '{}'{}", name,
-                    near.empty() ? "" : fmt::format(", did you mean '{}'?", near)));
+                throw InvalidParameter(
+                    fmt::format("plot: columns: there is no column '{}'{}", name,
+                                near.empty() ? "" : fmt::format(", did you mean '{}'?", near)));
             }
         auto unit_of = [](const std::string& name) {
             for (const Column& column : Statistics::columns())
@@ -88,8 +88,8 @@ public:
         for (const std::string& name : names_)
             if (unit_of(name) != unit_of(names_[0]))
                 throw InvalidParameter(fmt::format(
-                    "plot: columns: {} is in {}, {} in {}; one plot has one axis, draw two", names_[0],
-                    unit_of(names_[0]).empty() ? "no unit" : unit_of(names_[0]), name,
+                    "plot: columns: {} is in {}, {} in {}; one plot has one axis, draw two",
+                    names_[0], unit_of(names_[0]).empty() ? "no unit" : unit_of(names_[0]), name,
                     unit_of(name).empty() ? "no unit" : unit_of(name)));
     }
     Need estimate(SceneOutline&, const StageContext&) override { return {0, 1e8, 1e6}; }
@@ -121,9 +121,10 @@ public:
                               name.starts_with("fitness");
             for (int s = -1; s < int(species.size()); ++s) {
                 render::Series line;
-                line.name = each && s >= 0 ? (names_.size() > 1 ? species[std::size_t(s)] + " " + name
-                                                                : species[std::size_t(s)])
-                                           : name;
+                line.name = each && s >= 0
+                                ? (names_.size() > 1 ? species[std::size_t(s)] + " " + name
+                                                     : species[std::size_t(s)])
+                                : name;
                 for (std::size_t r = 0; r < day.size(); ++r)
                     if (who[r] == s) {
                         line.x.push_back(day[r]);
@@ -139,8 +140,8 @@ public:
         plot.height = params_.height;
         plot.x_name = "day";
         plot.y_name = names_.size() == 1
-                           ? (unit.empty() ? names_[0] : fmt::format("{} [{}]", names_[0], unit))
-                           : unit;
+                          ? (unit.empty() ? names_[0] : fmt::format("{} [{}]", names_[0], unit))
+                          : unit;
         picture = render::plot(series, plot);
         return {{"lines", series.size()}};
     }

@@ -95,12 +95,14 @@ public:
     {
         weathering::validate(params_);
         const std::string why = fmt::format(
-            "with cut = {}", weathering::choice_names(params_.cut)[static_cast<std::size_t>(params_.cut)]);
+            "with cut = {}",
+            weathering::choice_names(params_.cut)[static_cast<std::size_t>(params_.cut)]);
         if (params_.cut != weathering::Cut::Perpendicular)
-            warn_unused(*this,
-                        {"collapse", "ramp", "ramp_weight", "surface_weight", "noise_weight", "depth",
-                         "open_face", "noise_wavelength", "holding_limit", "cut_ref_length", "field"},
-                        why);
+            warn_unused(
+                *this,
+                {"collapse", "ramp", "ramp_weight", "surface_weight", "noise_weight", "depth",
+                 "open_face", "noise_wavelength", "holding_limit", "cut_ref_length", "field"},
+                why);
         if (params_.cut != weathering::Cut::Horizontal)
             warn_unused(*this,
                         {"terrain_base", "terrain_slope_x", "terrain_slope_y", "terrain_amplitude",
@@ -164,7 +166,8 @@ public:
     }
 
 private:
-    /// Bytes at the peak: columns, components and the density's surface a voxel, and what does not grow with them.
+    /// Bytes at the peak: columns, components and the density's surface a voxel, and what does not
+    /// grow with them.
     static double memory(double voxels) { return 1e8 + voxels * 20; }
 
     weathering::Params params_;

@@ -46,8 +46,7 @@ wind::State decode(const std::string& bytes, const std::string& where, const std
 {
     constexpr std::size_t kHash = 32;
     if (bytes.size() < kHash || hash_hex(bytes.substr(kHash)) != bytes.substr(0, kHash))
-        throw InvalidInput(
-            fmt::format("{}: a damaged checkpoint; remove it to begin anew", where));
+        throw InvalidInput(fmt::format("{}: a damaged checkpoint; remove it to begin anew", where));
     try {
         const Json json = Json::from_cbor(bytes.begin() + kHash, bytes.end());
         if (json.at("wind") != 1 || json.at("identity") != identity)
@@ -74,7 +73,8 @@ wind::State decode(const std::string& bytes, const std::string& where, const std
         }
         return state;
     } catch (const Json::exception& error) {
-        throw InvalidInput(fmt::format("{}: not a checkpoint of the wind: {}", where, error.what()));
+        throw InvalidInput(
+            fmt::format("{}: not a checkpoint of the wind: {}", where, error.what()));
     }
 }
 
@@ -83,13 +83,14 @@ public:
     const StageInfo& info() const override
     {
         static const StageInfo kInfo = [] {
-            StageInfo info{"wind",
-                           "1",
-                           "wind before an object and beside each of its cells, for eight directions",
-                           OutputKind::Scene,
-                           true,
-                           {"surface_sdf", "surf_normal", "surf_area"},
-                           {"air_tables"}};
+            StageInfo info{
+                "wind",
+                "1",
+                "wind before an object and beside each of its cells, for eight directions",
+                OutputKind::Scene,
+                true,
+                {"surface_sdf", "surf_normal", "surf_area"},
+                {"air_tables"}};
             for (int k = 0; k < 8; ++k) info.makes.push_back(fmt::format("wind_ratio_{}", k));
             return info;
         }();
@@ -139,11 +140,11 @@ public:
                 log::info("wind: going on where an earlier run stopped");
             }
         }
-        const wind::Result result =
-            wind::run(inputs, params, context.progress.slice(0.01, 1), std::move(before),
-                      [&](const wind::State& state) {
-                          if (!file.empty()) write_file(file, encode(state, identity));
-                      });
+        const wind::Result result = wind::run(inputs, params, context.progress.slice(0.01, 1),
+                                              std::move(before), [&](const wind::State& state) {
+                                                  if (!file.empty())
+                                                      write_file(file, encode(state, identity));
+                                              });
         for (const std::string& note : result.notes) {
             if (std::find(plan.notes.begin(), plan.notes.end(), note) == plan.notes.end())
                 log::warning("wind: {}", note);

@@ -68,9 +68,9 @@ struct Result {
     double last_change = 0;
 };
 
-/// Steps that suit a body nothing is known of: at most `most`, and where no slow part keeps it hot few
-/// enough that its middle has not cooled flat, 0.083 R^2 / alpha with R its inner radius in cells (a
-/// ball of radius 13.4 cells: 150 steps).
+/// Steps that suit a body nothing is known of: at most `most`, and where no slow part keeps it hot
+/// few enough that its middle has not cooled flat, 0.083 R^2 / alpha with R its inner radius in
+/// cells (a ball of radius 13.4 cells: 150 steps).
 int suitable_steps(const IntGrid& region, const Domain& domain, double alpha, int most);
 
 /// Where a long run continues: opaque bytes, saved now and then, and when the run is cancelled, and

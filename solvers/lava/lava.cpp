@@ -130,8 +130,8 @@ Layout height_map_layout(const Params& params, const Inputs& inputs)
         throw InvalidParameter(fmt::format(
             "lava: base = {:.6g} m, must lie below the highest point of the height map, {:.6g} m",
             params.base, top));
-    const Vec3d size{image.width * *params.metres_per_pixel, image.height * *params.metres_per_pixel,
-                     top - params.base};
+    const Vec3d size{image.width * *params.metres_per_pixel,
+                     image.height * *params.metres_per_pixel, top - params.base};
     Layout layout;
     layout.voxel = params.voxel.value_or(longest(size) / kLongestSide);
     const double margin = margin_of(params, layout.voxel), below = params.cold_ground ? margin : 0;
@@ -1003,7 +1003,8 @@ void validate(const Params& params)
     if (params.preset == Preset::HeightMap) {
         if (!params.metres_per_pixel || !params.height_low || !params.height_high)
             throw InvalidParameter(
-                "lava: a height map needs metres_per_pixel, height_low and height_high: the size of "
+                "lava: a height map needs metres_per_pixel, height_low and height_high: the size "
+                "of "
                 "its pixels and the heights of black and white");
         if (*params.height_high <= *params.height_low)
             throw InvalidParameter(

@@ -58,9 +58,9 @@ struct Params {
     std::optional<double> noise_amplitude;
     double noise_beta = 2;  ///< spectral exponent of the boundary noise
     std::filesystem::path height_map;
-    std::optional<double> metres_per_pixel;  ///< required with a height map
+    std::optional<double> metres_per_pixel;         ///< required with a height map
     std::optional<double> height_low, height_high;  ///< [m] of black and white; required likewise
-    double base = 0;                           ///< lower side of the lava [m]
+    double base = 0;                                ///< lower side of the lava [m]
     std::filesystem::path mesh;
     double mesh_scale = 1;  ///< metres per unit of the file
     std::filesystem::path volume;
@@ -88,8 +88,10 @@ struct Params {
               "PNG whose grey is the height of the lava's surface");
         field("metres_per_pixel", &Params::metres_per_pixel, "m", kPositive,
               "horizontal size of a height map's pixel; must be given with one");
-        field("height_low", &Params::height_low, "m", kAny, "height of a height map's black; must be given with one");
-        field("height_high", &Params::height_high, "m", kAny, "height of its white; must be given with one");
+        field("height_low", &Params::height_low, "m", kAny,
+              "height of a height map's black; must be given with one");
+        field("height_high", &Params::height_high, "m", kAny,
+              "height of its white; must be given with one");
         field("base", &Params::base, "m", kAny,
               "height of the lava's lower side under a height map");
         field("mesh", &Params::mesh, "closed mesh of the lava body (PLY, OBJ, STL, OFF)");
@@ -146,11 +148,11 @@ PresetDefaults preset_defaults(Preset preset);
 
 /// What this run would need, found before anything is allocated, in doubles that cannot overflow.
 struct Estimate {
-    double voxels = 0;  ///< of the fine box
-    double bytes = 0;   ///< memory of run(): constant leaves and two surfaces
-    Coord dims;         ///< fine; clamped to 2^31 - 1
-    double voxel = 0;   ///< edge [m], auto resolved
-    Coord heat_dims;    ///< coarse; clamped likewise
+    double voxels = 0;     ///< of the fine box
+    double bytes = 0;      ///< memory of run(): constant leaves and two surfaces
+    Coord dims;            ///< fine; clamped to 2^31 - 1
+    double voxel = 0;      ///< edge [m], auto resolved
+    Coord heat_dims;       ///< coarse; clamped likewise
     double heat_cell = 0;  ///< edge [m]
 };
 /// @throws InvalidParameter, InvalidInput  as run() does for what it needs to know

@@ -17,7 +17,7 @@ namespace {
 
 constexpr Stream kYaw{"moss.yaw"};
 constexpr Stream kPlace{"moss.place"};
-constexpr double kStray = 0.5;  // of a foot from its cell's middle / spacing
+constexpr double kStray = 0.5;     // of a foot from its cell's middle / spacing
 constexpr double kFullGrowth = 2;  // G_moss of full visual size
 
 std::vector<std::int32_t> widened(const std::vector<std::uint8_t>& values)
@@ -75,8 +75,7 @@ Vec3d on_surface(GridReader<float>& level_set, const Transform& transform, Vec3d
 /// Uniform in a disc of radius kStray across n.
 Vec3d stray(std::uint64_t key, std::uint64_t id, Vec3d n)
 {
-    const Vec3d u =
-        normalized(cross(n, std::abs(n.z) < 0.9 ? Vec3d(0, 0, 1) : Vec3d(1, 0, 0)));
+    const Vec3d u = normalized(cross(n, std::abs(n.z) < 0.9 ? Vec3d(0, 0, 1) : Vec3d(1, 0, 0)));
     const std::uint64_t own = hash2(key, id);
     const double angle = 2 * math::kPi * uniform_of_key(own, 0);
     const double r = kStray * std::sqrt(uniform_of_key(own, 1));

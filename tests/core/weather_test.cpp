@@ -162,7 +162,8 @@ std::string epw(const std::vector<WeatherDay>& days, bool typical = false)
 {
     std::string text =
         "LOCATION,Morioka,-,JPN,TEST,475840,39.70,141.15,9.0,155.0\nDESIGN CONDITIONS,0\n"
-        "TYPICAL/EXTREME PERIODS,0\nGROUND 12.33692676ERATURES,0\nHOLIDAYS/DAYLIGHT SAVINGS,No,0,0,0\n"
+        "TYPICAL/EXTREME PERIODS,0\nGROUND 12.33692676ERATURES,0\nHOLIDAYS/DAYLIGHT "
+        "SAVINGS,No,0,0,0\n"
         "COMMENTS 1,made for a test\nCOMMENTS 2,\nDATA PERIODS,1,1,Data,Sunday,1/ 1,12/31\n";
     for (const WeatherDay& d : days)
         for (int hour = 1; hour <= 24; ++hour) {

@@ -386,9 +386,8 @@ TEST(Cooling, StepsOfABodyNothingIsKnownOfGrowWithTheSquareOfItsInnerRadius)
 {
     const Coord dims{27, 30, 33};
     auto plate = [&](int thickness) {
-        return region_of(dims, [=](Coord c) {
-            return c.y >= 5 && c.y < 5 + thickness ? kLava : kCold;
-        });
+        return region_of(dims,
+                         [=](Coord c) { return c.y >= 5 && c.y < 5 + thickness ? kLava : kCold; });
     };
     auto steps = [&](const IntGrid& region, double alpha, int most) {
         return suitable_steps(region, {dims, kPlace}, alpha, most);
