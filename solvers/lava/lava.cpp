@@ -122,9 +122,18 @@ std::pair<double, double> height_range(const Params& params, const Image16& imag
     return {*params.height_low + low * span, *params.height_low + high * span};
 }
 
+void require_scale(const Params& params)
+{
+    if (!params.metres_per_pixel || !params.height_low || !params.height_high)
+        throw InvalidParameter(
+            "lava: a height map needs metres_per_pixel, height_low and height_high: the size of "
+            "its pixels and the heights of black and white");
+}
+
 Layout height_map_layout(const Params& params, const Inputs& inputs)
 {
     const Image16& image = height_image(inputs);
+    require_scale(params);
     const double top = height_range(params, image).second;
     if (top <= params.base)
         throw InvalidParameter(fmt::format(
@@ -1001,12 +1010,8 @@ void validate(const Params& params)
             "lava: size goes with the built-in presets; with preset = {} the file gives the box",
             preset));
     if (params.preset == Preset::HeightMap) {
-        if (!params.metres_per_pixel || !params.height_low || !params.height_high)
-            throw InvalidParameter(
-                "lava: a height map needs metres_per_pixel, height_low and height_high: the size "
-                "of "
-                "its pixels and the heights of black and white");
-        if (*params.height_high <= *params.height_low)
+        if (!params.height_map.empty()) require_scale(params);
+        if (params.height_high && params.height_low && *params.height_high <= *params.height_low)
             throw InvalidParameter(
                 fmt::format("lava: height_high = {} m, must be above height_low = {} m",
                             *params.height_high, *params.height_low));

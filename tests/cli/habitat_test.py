@@ -511,7 +511,7 @@ class BadWeather(HabitatTest):
         self.refuse(USAGE, ["latitude = 91", "-90 to 90"], "light", self.lantern, *LIGHT, "--latitude", "91", "-o", "x.vdb")
         self.refuse(USAGE, ["longitude", "-180 to 180"], "light", self.lantern, *LIGHT, "--longitude", "200", "-o", "x.vdb")
         self.refuse(USAGE, ["days = 71", "70", "--repeat-year"], "moss", self.soil, "--days", "71", "-o", "x.vdb")
-        self.succeed("moss", self.soil, "--days", "71", "--repeat-year", "-o", "x.vdb")
+        self.refuse(USAGE, ["whole year"], "moss", self.soil, "--days", "71", "--repeat-year", "-o", "x.vdb")
 
     def test_the_place_may_be_given_in_part(self):
         for options in ([], ["--longitude", "141"], ["--latitude", "40"]):

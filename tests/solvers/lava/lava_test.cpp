@@ -673,6 +673,10 @@ TEST(Lava, NamesWhatIsWrong)
     Inputs flat;
     flat.height_map = Image16(4, 4, 1);
     p = plain(Preset::HeightMap);
+    EXPECT_THAT(running(p, flat), ThrowsMessage<InvalidParameter>(HasSubstr("metres_per_pixel")));
+    p.metres_per_pixel = 2.5;
+    p.height_low = -1;
+    p.height_high = 0.5;
     p.base = 1;
     EXPECT_THAT(running(p, flat), ThrowsMessage<InvalidParameter>(HasSubstr("base = 1 m")));
 }
