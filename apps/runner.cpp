@@ -25,7 +25,8 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr int kCacheVersion = 1;
-constexpr std::size_t kKeptResults = 4;  // of a stage, for going back and forth
+constexpr std::size_t kWorthReading = 256 << 20;  // bytes
+constexpr std::size_t kKeptResults = 4;           // of a stage, for going back and forth
 
 double seconds_now()
 {
@@ -748,11 +749,30 @@ private:
             for (const std::string& name : stage(k).write)
                 whole_scene = whole_scene || fs::path(name).extension() == ".vdb";
         }
-        if (whole_scene) return;
         std::vector<std::string> names;
+        std::size_t bytes = 0;
         for (const auto& [name, hash] : in_memory_)
-            if (!wanted.contains(name)) names.push_back(name);
+            if (!wanted.contains(name)) {
+                names.push_back(name);
+                bytes += bytes_of(name);
+            }
+        // What only an output file needs is read again for it, where keeping it costs much.
+        if (whole_scene && bytes < kWorthReading) return;
         for (const std::string& name : names) drop(name);
+    }
+
+    std::size_t bytes_of(const std::string& name) const
+    {
+        const auto grid = scene_.grids.find(name);
+        if (grid == scene_.grids.end()) return 0;
+        return std::visit(
+            [](const auto& values) -> std::size_t {
+                if constexpr (requires { values.memory_bytes(); })
+                    return values.memory_bytes();
+                else
+                    return 0;
+            },
+            grid->second.values);
     }
 
     // ---- outputs --------------------------------------------------------------------------
