@@ -8,6 +8,7 @@
 #include <cerrno>
 #include <cmath>
 #include <cstring>
+#include <fstream>
 #include <limits>
 
 #include "core/error.h"
@@ -707,6 +708,25 @@ std::string load(const fs::path& path, double memory_limit, const Progress& prog
     return read_file(path, std::numeric_limits<std::uint64_t>::max(), progress);
 }
 
+/// Whether a file's bytes hash to the UUID that stands in it, and that is this one. A piece at a
+/// time: the scene is still in memory.
+bool reads_back(const fs::path& path, const std::string& uuid, const Progress& progress)
+{
+    std::ifstream file(path, std::ios::binary);
+    std::string start(kUuidEnd, '\0');
+    if (!file.read(start.data(), std::streamsize(start.size()))) return false;
+    Hasher hasher;
+    hasher.add(start.data(), vdb::kUuidPosition);
+    std::string piece(std::size_t(4) << 20, '\0');
+    while (file) {
+        progress.check();
+        file.read(piece.data(), std::streamsize(piece.size()));
+        hasher.add(piece.data(), static_cast<std::size_t>(file.gcount()));
+    }
+    return file.eof() && start.substr(vdb::kUuidPosition) == uuid &&
+           vdb::uuid_from_hash(hasher.hex()) == uuid;
+}
+
 void write_all(int fd, std::string_view bytes, const Progress& progress)
 {
     while (!bytes.empty()) {
@@ -736,9 +756,7 @@ void write_vdb(const fs::path& path, const Scene& scene, const WriteOptions& opt
     const std::string uuid = write_scene(file, scene, options, progress.slice(0, 0.8));
     file.set_verifier([&](const fs::path& temporary) {
         progress.update(0.9);
-        const std::string bytes = load(temporary, 0, progress);
-        const Header header = vdb::parse_header(bytes, path.string());
-        if (header.uuid != uuid || uuid_of(bytes, progress) != uuid)
+        if (!reads_back(temporary, uuid, progress))
             throw IoError(fmt::format(
                 "cannot write {}: what was read back differs from what was written; check the disk",
                 path.string()));
