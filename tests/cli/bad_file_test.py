@@ -418,13 +418,15 @@ class Pictures(SceneTest):
             with self.subTest(name=name):
                 self.refuse(BAD_INPUT, [name], *self.map(self.write(name, content)))
         self.refuse(BAD_INPUT, ["nowhere.png"], *self.map("nowhere.png"))
-        self.refuse(USAGE, ["height map", "metres_per_pixel"], "lava", "--preset", "height_map", "-o", "x.vdb")
+        self.refuse(USAGE, ["needs a file: height_map"], "lava", "--preset", "height_map", "-o", "x.vdb")
 
     def test_a_terrain_map_is_checked_too(self):
         path = self.write("words.png", b"not a picture at all")
         self.refuse(BAD_INPUT, ["words.png"], "weather", self.joints, "--terrain-map", path, "-o", "x.vdb")
         self.write("hill.png", foreign.png(16, 16, lambda x, y: 20000 + 1000 * x))
         self.succeed("weather", self.joints, "--terrain-map", "hill.png", "-o", "x.vdb")
+        self.refuse(USAGE, ["height map", "metres_per_pixel"], "lava", "--preset", "height_map", "--height-map", "hill.png",
+                    "-o", "y.vdb")
 
 
 class SeedFiles(SceneTest):
