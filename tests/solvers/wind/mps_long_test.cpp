@@ -156,6 +156,7 @@ TEST(MpsValidation, AirPassesAStoneLantern)
                length(p - Vec3d(0, 0, 1.425)) < 0.075;
     };
     Simulation wind(Settings::air(3, 0.05, 3), tunnel);
+    const std::size_t at_first = wind.count(Kind::Fluid);  // the box without the lantern's own room
     wind.run_until(1);
     const Vec3d front(-0.30, 0, 0.45), behind(0.30, 0, 0.95), beside(0, 0.45, 0.45);
     wind.start_statistics({}, {front, behind, beside}, 0.1);
@@ -166,7 +167,7 @@ TEST(MpsValidation, AirPassesAStoneLantern)
     RecordProperty("beside", std::to_string(means[2]));
     EXPECT_GT(means[2], 0.9 * 3);
     EXPECT_LT(means[1], 0.6 * 3);
-    EXPECT_GT(wind.count(Kind::Fluid), 0.95 * 32 * 32 * 38);
+    EXPECT_GT(double(wind.count(Kind::Fluid)), 0.97 * double(at_first));
 }
 
 }  // namespace
