@@ -7,7 +7,7 @@
 #include <array>
 #include <cmath>
 
-#include "apps/recipe.h"
+#include "apps/presets.h"
 #include "core/error.h"
 #include "core/log.h"
 #include "core/math.h"
@@ -21,14 +21,11 @@ template <class T>
 const std::vector<T>& attribute(const Points& points, const std::string& set,
                                 const std::string& name)
 {
-    const auto found = points.attributes.find(name);
-    if (found == points.attributes.end())
-        throw InvalidInput(fmt::format("the points '{}' have no attribute '{}'", set, name));
-    const auto* values = std::get_if<std::vector<T>>(&found->second);
-    if (!values)
+    if (const auto* values = points.values<T>(name)) return *values;
+    if (points.attributes.contains(name))
         throw InvalidInput(
             fmt::format("the attribute '{}' of the points '{}' has an unexpected type", name, set));
-    return *values;
+    throw InvalidInput(fmt::format("the points '{}' have no attribute '{}'", set, name));
 }
 
 /// The numbers of a day that are always there, by the name of their attribute.
@@ -265,22 +262,8 @@ void validate(const ClimateParams& params)
 
 soil::Soil find_soil(const std::string& name, const std::filesystem::path& folder)
 {
-    if (std::filesystem::path(name).extension() == ".toml") {
-        const std::filesystem::path file =
-            std::filesystem::path(name).is_absolute() ? std::filesystem::path(name) : folder / name;
-        soil::Soil soil;
-        apply_params_file(file, describe_params(soil), [&] { soil::validate(soil); });
-        return soil;
-    }
-    std::vector<std::string> names;
-    for (const soil::Soil& soil : soil::preset_soils()) {
-        if (soil.name == name) return soil;
-        names.push_back(soil.name);
-    }
-    const std::string near = nearest_name(name, names);
-    throw InvalidParameter(
-        fmt::format("soil = {}: no such soil, expected one of {} or a .toml file{}", name,
-                    fmt::join(names, ", "), near.empty() ? "" : "; did you mean '" + near + "'?"));
+    return preset_or_file("soil", name, folder, soil::preset_soils(),
+                          [](soil::Soil& soil, const std::string&) { soil::validate(soil); });
 }
 
 Points table_points(const wind::AirTables& tables)
@@ -404,13 +387,6 @@ light::Coefficients coefficients_of(const Scene& scene, const SurfaceCells& cell
     c.sky_view = cells.from_grid(scene.floats("sky_view"), 0);
     c.rain_exposure = cells.from_grid(scene.floats("rain_exposure"), 0);
     return c;
-}
-
-const Json* params_of(const Scene& scene, const std::string& stage)
-{
-    for (auto entry = scene.history.rbegin(); entry != scene.history.rend(); ++entry)
-        if (entry->stage == stage) return &entry->params;
-    return nullptr;
 }
 
 std::vector<std::string> climate_needs()

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "apps/stage.h"
 #include "core/progress.h"
 #include "core/weather.h"
 #include "grids/scene.h"
@@ -150,8 +151,5 @@ Points daylight_points(const light::Coefficients& coefficients, const SurfaceCel
 /// Coefficients from `daylight`, `sky_view`, `rain_exposure` and the light stage's parameters in
 /// the scene's history.
 light::Coefficients coefficients_of(const Scene& scene, const SurfaceCells& cells);
-
-/// The parameters a stage had when it last worked on this scene; null when it never did.
-const Json* params_of(const Scene& scene, const std::string& stage);
 
 }  // namespace sekitei::apps

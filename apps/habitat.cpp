@@ -6,7 +6,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "apps/recipe.h"
+#include "apps/presets.h"
 #include "core/error.h"
 #include "core/parallel.h"
 
@@ -285,19 +285,20 @@ Points Statistics::points(const std::string& stage) const
     return points;
 }
 
+const std::vector<double>& statistics_column(const Points& statistics, const std::string& name,
+                                             const std::string& who)
+{
+    if (const auto* values = statistics.values<double>(name)) return *values;
+    throw InvalidInput(fmt::format(
+        "{}: the points 'statistics' have no column '{}'; run the moss stage", who, name));
+}
+
 std::string statistics_csv(const Points& statistics, const std::vector<std::string>& species)
 {
     std::vector<const std::vector<double>*> columns;
     std::vector<std::string> header;
     for (const Column& column : Statistics::columns()) {
-        const auto found = statistics.attributes.find(column.name);
-        const auto* values = found == statistics.attributes.end()
-                                 ? nullptr
-                                 : std::get_if<std::vector<double>>(&found->second);
-        if (!values)
-            throw InvalidInput(
-                fmt::format("the points 'statistics' have no column '{}'", column.name));
-        columns.push_back(values);
+        columns.push_back(&statistics_column(statistics, column.name, "statistics"));
         header.push_back(column.unit.empty() ? column.name
                                              : fmt::format("{} [{}]", column.name, column.unit));
     }
@@ -335,25 +336,11 @@ std::vector<std::string> split_names(const std::string& list)
 
 moss::Species find_species(const std::string& name, const std::filesystem::path& folder)
 {
-    if (std::filesystem::path(name).extension() == ".toml") {
-        const std::filesystem::path file =
-            std::filesystem::path(name).is_absolute() ? std::filesystem::path(name) : folder / name;
-        moss::Species species;
-        apply_params_file(file, describe_params(species), [&] {
-            species.name = file.stem().string();  // what grids and tables call it
-            moss::validate(species);
-        });
-        return species;
-    }
-    std::vector<std::string> names;
-    for (const moss::Species& species : moss::preset_species()) {
-        if (species.name == name) return species;
-        names.push_back(species.name);
-    }
-    const std::string near = nearest_name(name, names);
-    throw InvalidParameter(
-        fmt::format("species = {}: no such species, expected one of {} or a .toml file{}", name,
-                    fmt::join(names, ", "), near.empty() ? "" : "; did you mean '" + near + "'?"));
+    return preset_or_file("species", name, folder, moss::preset_species(),
+                          [](moss::Species& species, const std::string& stem) {
+                              species.name = stem;  // what grids and tables call it
+                              moss::validate(species);
+                          });
 }
 
 std::vector<std::string> species_names(const Scene& scene)

@@ -100,6 +100,11 @@ private:
     double largest_error_ = 0;
 };
 
+/// One column of a scene's `statistics`.
+/// @throws InvalidInput  it is not there; names `who`
+const std::vector<double>& statistics_column(const Points& statistics, const std::string& name,
+                                             const std::string& who);
+
 /// The rows of `statistics` as comma-separated values with units in the header.
 /// @throws InvalidInput  a column is missing
 std::string statistics_csv(const Points& statistics, const std::vector<std::string>& species);

@@ -294,8 +294,7 @@ private:
         return names;
     }
 
-    /// What the key of stage i is made of. Parameters that an ancestor's history sets (the lava's
-    /// preset) count too.
+    /// What the key of stage i is made of. Parameters of ancestors that it looks up count too.
     Json ingredients(std::size_t i, const Items& items) const
     {
         Json inputs = Json::object();
@@ -309,15 +308,18 @@ private:
             for (const std::string& name : reads(i, items))
                 if (const auto found = items.find(name); found != items.end())
                     inputs[name] = found->second.hash;
-        Json preset = nullptr;
-        for (const std::size_t k : ancestors(i))
-            if (stage(k).process->info().name == "lava")
-                preset = params_json(stage(k).process->params())["preset"];
         Json recalled = Json::object();
         for (const std::size_t k : ancestors(i))
-            for (const std::string& name : stage(i).process->info().recalls)
-                if (stage(k).process->info().name == name)
-                    recalled[name] = params_json(stage(k).process->params());
+            for (const std::string& recall : stage(i).process->info().recalls) {
+                const std::size_t dot = std::min(recall.find('.'), recall.size());
+                const std::string name = recall.substr(0, dot);
+                if (stage(k).process->info().name != name) continue;
+                const Json params = params_json(stage(k).process->params());
+                if (dot == recall.size())
+                    recalled[name] = params;
+                else
+                    recalled[name][recall.substr(dot + 1)] = params[recall.substr(dot + 1)];
+            }
         return {{"cache", kCacheVersion},
                 {"recalled", recalled},
                 {"stage", stage(i).process->info().name},
@@ -325,7 +327,6 @@ private:
                 {"params", params_json(stage(i).process->params())},
                 {"seed", stage(i).seed},
                 {"inputs", inputs},
-                {"preset", preset},
                 {"files", input_hashes(*stage(i).process, context(i))}};
     }
 
@@ -394,7 +395,6 @@ private:
         for (const auto& [name, value] : now["inputs"].items())
             if (!last["inputs"].contains(name) || last["inputs"][name] != value)
                 return fmt::format("its input {} changed", name);
-        if (last["preset"] != now["preset"]) return "the lava's preset changed";
         const Json recalled = last.value("recalled", Json::object());
         for (const auto& [name, params] : now["recalled"].items()) {
             const Json before = recalled.value(name, Json::object());

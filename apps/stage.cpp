@@ -77,6 +77,13 @@ HistoryEntry history_of(Stage& stage, const StageContext& context)
             input_hashes(stage, context)};
 }
 
+const Json* params_of(const Scene& scene, const std::string& stage)
+{
+    for (auto entry = scene.history.rbegin(); entry != scene.history.rend(); ++entry)
+        if (entry->stage == stage) return &entry->params;
+    return nullptr;
+}
+
 void log_mesh_report(const std::filesystem::path& file, const MeshReadReport& report)
 {
     for (const std::string& warning : report.warnings) log::warning("{}", warning);

@@ -28,7 +28,8 @@ struct StageInfo {
     std::vector<std::string> needs;  ///< grids, points or meshes it cannot do without
     std::vector<std::string> makes;  ///< grids, points or meshes it may put
     bool reads_many = false;         ///< run_many() on one scene for each that it reads
-    /// Stages whose parameters it looks up in the scene's history.
+    /// Whose parameters it looks up in the scene's history: "soil" for all of a stage's,
+    /// "lava.preset" for one.
     std::vector<std::string> recalls{};
 };
 
@@ -109,6 +110,9 @@ Json input_hashes(Stage& stage, const StageContext& context);
 
 /// History entry for what `stage` is about to do.
 HistoryEntry history_of(Stage& stage, const StageContext& context);
+
+/// The parameters a stage had when it last worked on this scene; null when it never did.
+const Json* params_of(const Scene& scene, const std::string& stage);
 
 /// Tells what reading a mesh file had to mend.
 void log_mesh_report(const std::filesystem::path& file, const MeshReadReport& report);

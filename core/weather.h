@@ -26,6 +26,13 @@ struct WeatherDay {
     double pressure = 1013.0;                 ///< [hPa]
 };
 
+/// "N", "NE" ... of a direction 0..7.
+constexpr std::string_view wind_name(int direction)
+{
+    constexpr std::array<std::string_view, 8> kNames{"N", "NE", "E", "SE", "S", "SW", "W", "NW"};
+    return kNames[static_cast<std::size_t>(direction)];
+}
+
 /// Where the weather was observed; needed for the sun's path.
 struct Site {
     double latitude = 0, longitude = 0;  ///< [rad], north and east positive

@@ -5,14 +5,8 @@
 #include <cmath>
 #include <map>
 
-// Wider SIMD chosen at run time. No contraction and no reordering: all clones give the same bits.
-// Sanitizers meet the dispatcher before they are ready, so they get the portable build.
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__SANITIZE_ADDRESS__) && \
-    !defined(__SANITIZE_THREAD__)
-#define SEKITEI_CLONES __attribute__((target_clones("avx2", "default")))
-#else
-#define SEKITEI_CLONES
-#endif
+#include "core/clones.h"
+
 #define SEKITEI_INLINE inline __attribute__((always_inline))
 
 namespace sekitei {

@@ -7,12 +7,7 @@
 #include <cstring>
 #include <limits>
 
-// The same source for wider registers, chosen at run time; without FMA the bytes are the same.
-#if defined(__x86_64__) && !defined(__SANITIZE_THREAD__) && !defined(__SANITIZE_ADDRESS__)
-#define SEKITEI_WIDE __attribute__((target_clones("avx512f", "avx2", "default")))
-#else
-#define SEKITEI_WIDE
-#endif
+#include "core/clones.h"
 
 namespace sekitei {
 namespace {
@@ -327,20 +322,20 @@ SEKITEI_INLINE void nearest_in_octants(Coord origin, const PolylineIndex::Candid
     }
 }
 
-SEKITEI_WIDE void ids_in_leaf(Coord origin, const PolylineIndex::Candidates& c, Work& work,
-                              std::int32_t* line)
+SEKITEI_CLONES_512 void ids_in_leaf(Coord origin, const PolylineIndex::Candidates& c, Work& work,
+                                    std::int32_t* line)
 {
     nearest_in_octants<false>(origin, c, work, line, nullptr);
 }
 
-SEKITEI_WIDE void ids_and_arcs_in_leaf(Coord origin, const PolylineIndex::Candidates& c, Work& work,
-                                       std::int32_t* line, double* arc)
+SEKITEI_CLONES_512 void ids_and_arcs_in_leaf(Coord origin, const PolylineIndex::Candidates& c,
+                                             Work& work, std::int32_t* line, double* arc)
 {
     nearest_in_octants<true>(origin, c, work, line, arc);
 }
 
-SEKITEI_WIDE std::size_t cull_cube(const PolylineIndex::Candidates& c, Vec3d centre, double half,
-                                   Work& work)
+SEKITEI_CLONES_512 std::size_t cull_cube(const PolylineIndex::Candidates& c, Vec3d centre,
+                                         double half, Work& work)
 {
     return cull(c, centre, half, false, work);
 }

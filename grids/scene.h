@@ -41,6 +41,16 @@ struct Points {
     std::vector<Vec3d> position;  ///< world [m]; kept exactly through files
     std::map<std::string, Attribute> attributes;
     std::string stage;
+
+    /// The attribute of this name if it is there with this type and one value a point, else null.
+    template <class T>
+    const std::vector<T>* values(const std::string& name) const
+    {
+        const auto found = attributes.find(name);
+        if (found == attributes.end()) return nullptr;
+        const auto* list = std::get_if<std::vector<T>>(&found->second);
+        return list && list->size() == position.size() ? list : nullptr;
+    }
 };
 
 /// One command that took part in making a scene.

@@ -113,12 +113,11 @@ int command_explain(const std::string& file, const std::string& at, const Common
         speed /= double(weather.days.size());
         json["wind_speed"] = speed;
         text += fmt::format("  {:<28} {:>10.4g} m/s\n", "wind", speed);
-        static constexpr const char* kWinds[] = {"N", "NE", "E", "SE", "S", "SW", "W", "NW"};
         std::string ratios;
         for (int k = 0; k < 8; ++k) {
             const double ratio = value(fmt::format("wind_ratio_{}", k));
             json["wind_ratio"].push_back(ratio);
-            ratios += fmt::format(" {} {:.2f}", kWinds[k], ratio);
+            ratios += fmt::format(" {} {:.2f}", wind_name(k), ratio);
         }
         text += fmt::format("  {:<28}{}\n", "  its share of the inflow", ratios);
     }

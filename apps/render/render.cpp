@@ -168,6 +168,15 @@ Image8 develop_day(const Film& film, const Sky& sky, const Params& params, std::
     return develop(film, seed, [&](Vec3f c) { return tone_map(c * gain); });
 }
 
+Film film_of(const World& world, const Params& params, std::uint64_t seed, const Progress& progress)
+{
+    const TraceParams trace_params{.width = params.width,
+                                   .height = params.height,
+                                   .samples = params.samples,
+                                   .bounces = params.bounces};
+    return trace(world, trace_params, seed, progress.slice(0.02, 0.95));
+}
+
 /// Values of one attribute of the points, checked.
 template <class T>
 const std::vector<T>& moss_attribute(const Points& moss, const char* name, const char* type)
@@ -235,11 +244,7 @@ Image8 run(const TriMesh& mesh, const Params& params, std::uint64_t seed, const 
                 .hills = params.hills && params.ground && !shown,
                 .backdrop = {}};
     if (shown) world.backdrop = Vec3f(0.93f);
-    const TraceParams trace_params{.width = params.width,
-                                   .height = params.height,
-                                   .samples = params.samples,
-                                   .bounces = params.bounces};
-    Film film = trace(world, trace_params, seed, progress.slice(0.02, 0.95));
+    Film film = film_of(world, params, seed, progress);
     log::detail("render: {} triangles, {} rays, {} for Embree",
                 count_text(static_cast<double>(mesh.triangles.size())),
                 count_text(static_cast<double>(film.rays)),
@@ -314,11 +319,7 @@ Image8 run(const Stuff& stuff, const Params& params, std::uint64_t seed, const P
                 .backdrop = {},
                 .tufts = &tufts};
     if (params.ground) world.ground = params.ground_height.value_or(bounds.lower.z);
-    const TraceParams trace_params{.width = params.width,
-                                   .height = params.height,
-                                   .samples = params.samples,
-                                   .bounces = params.bounces};
-    Film film = trace(world, trace_params, seed, progress.slice(0.02, 0.95));
+    Film film = film_of(world, params, seed, progress);
     log::detail("render: {} triangles and {} moss plants of {} triangles, {} rays, {} for Embree",
                 count_text(static_cast<double>(mesh.triangles.size())),
                 count_text(static_cast<double>(stuff.moss.size())),

@@ -206,25 +206,9 @@ Tufts::~Tufts() = default;
 bool Tufts::intersect(Vec3f origin, Vec3f direction, float far, TuftHit& hit) const
 {
     if (!state_->scene) return false;
-    RTCRayHit query{};
-    query.ray.org_x = origin.x;
-    query.ray.org_y = origin.y;
-    query.ray.org_z = origin.z;
-    query.ray.dir_x = direction.x;
-    query.ray.dir_y = direction.y;
-    query.ray.dir_z = direction.z;
-    query.ray.tfar = far;
-    query.ray.mask = 0xFFFFFFFFu;
-    query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-    query.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-#if RTC_VERSION_MAJOR >= 4
-    rtcIntersect1(state_->scene, &query, nullptr);
-#else
-    RTCIntersectContext context;
-    rtcInitIntersectContext(&context);
-    rtcIntersect1(state_->scene, &context, &query);
-#endif
-    if (query.hit.geomID == RTC_INVALID_GEOMETRY_ID) return false;
+    RTCRayHit query;
+    if (!rays::first_hit(state_->scene, rays::ray_of(origin, direction, 0, far), query))
+        return false;
     hit.tuft = query.hit.instID[0];
     hit.triangle = query.hit.primID;
 
@@ -252,23 +236,7 @@ bool Tufts::intersect(Vec3f origin, Vec3f direction, float far, TuftHit& hit) co
 bool Tufts::occluded(Vec3f origin, Vec3f direction, float far) const
 {
     if (!state_->scene) return false;
-    RTCRay ray{};
-    ray.org_x = origin.x;
-    ray.org_y = origin.y;
-    ray.org_z = origin.z;
-    ray.dir_x = direction.x;
-    ray.dir_y = direction.y;
-    ray.dir_z = direction.z;
-    ray.tfar = far;
-    ray.mask = 0xFFFFFFFFu;
-#if RTC_VERSION_MAJOR >= 4
-    rtcOccluded1(state_->scene, &ray, nullptr);
-#else
-    RTCIntersectContext context;
-    rtcInitIntersectContext(&context);
-    rtcOccluded1(state_->scene, &context, &ray);
-#endif
-    return ray.tfar < 0;
+    return rays::any_hit(state_->scene, rays::ray_of(origin, direction, 0, far));
 }
 
 void Tufts::place(const TuftHit& hit, Vec3f& position, Vec3f& geometric, Vec3f& soft) const

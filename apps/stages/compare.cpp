@@ -30,16 +30,7 @@ Habitat habitat_of(const std::string& name, const Scene& scene)
         h.layout = made->value("layout", std::string());
     const Points& points = scene.points_of("statistics");
     auto column = [&](const char* column_name) -> const std::vector<double>& {
-        const auto found = points.attributes.find(column_name);
-        const auto* values = found == points.attributes.end()
-                                 ? nullptr
-                                 : std::get_if<std::vector<double>>(&found->second);
-        if (!values)
-            throw InvalidInput(
-                fmt::format("compare: {}: the points 'statistics' have no column "
-                            "'{}'; run the moss stage",
-                            name, column_name));
-        return *values;
+        return statistics_column(points, column_name, "compare: " + name);
     };
     const auto &who = column("species"), &day = column("day"), &from = column("wind_direction");
     if (std::none_of(who.begin(), who.end(), [](double s) { return s >= 0; }))
@@ -165,7 +156,6 @@ private:
                         double upper, bool ratio = true) {
             lines.push_back({measure, other.name, value, before, ratio, lower, upper});
         };
-        static constexpr const char* kWinds[] = {"N", "NE", "E", "SE", "S", "SW", "W", "NW"};
         if (first.tables && other.tables) {
             for (const int k : {0, 2, 4, 6}) {
                 double lower = none, upper = any;
@@ -179,7 +169,7 @@ private:
                     else
                         lower = 0.85, upper = 1.15;
                 }
-                line(fmt::format("wind before the object {} (A_U)", kWinds[k]),
+                line(fmt::format("wind before the object {} (A_U)", wind_name(k)),
                      other.tables->speed[std::size_t(k)], first.tables->speed[std::size_t(k)],
                      lower, upper);
             }

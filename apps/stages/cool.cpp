@@ -13,7 +13,7 @@ namespace {
 /// What the lava preset of this scene recommends; generic values without one.
 lava::PresetDefaults recommended(const Scene& scene)
 {
-    if (const Json* made = lava_params(scene)) {
+    if (const Json* made = params_of(scene, "lava")) {
         lava::Params params;
         const ParamList list = describe_params(params);
         if (made->contains("preset")) find_param(list, "preset")->set((*made)["preset"]);
@@ -38,7 +38,9 @@ public:
             OutputKind::Scene,
             true,
             {"region_coarse"},
-            {"temperature", "temperature_gradient", "temperature_gradient_mag"}};
+            {"temperature", "temperature_gradient", "temperature_gradient_mag"},
+            false,
+            {"lava.preset"}};
         return kInfo;
     }
 

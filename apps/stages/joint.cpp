@@ -62,7 +62,9 @@ public:
             OutputKind::Scene,
             true,
             {"region", "body_sdf", "slow_sdf", "temperature_gradient"},
-            {"centre_lines", "column", "arc"}};
+            {"centre_lines", "column", "arc"},
+            false,
+            {"lava.preset"}};
         return kInfo;
     }
 
@@ -98,7 +100,7 @@ public:
                               scene.heat_domain,
                               {},
                               {}};
-        if (const Json* made = lava_params(scene); made && made->contains("preset")) {
+        if (const Json* made = params_of(scene, "lava"); made && made->contains("preset")) {
             lava::Params lava;
             find_param(describe_params(lava), "preset")->set((*made)["preset"]);
             inputs.default_count = lava::preset_defaults(lava.preset).seed_count;

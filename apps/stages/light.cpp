@@ -63,7 +63,9 @@ public:
             true,
             {},
             {"surface_sdf", "surf_normal", "surf_area", "sky_view", "rain_exposure", "light_S",
-             "light_direct", "light_sky", "light_reflected", "daylight", "weather"}};
+             "light_direct", "light_sky", "light_reflected", "daylight", "weather"},
+            false,
+            {"weather.open_face"}};
         return kInfo;
     }
     std::vector<std::string> needs() override

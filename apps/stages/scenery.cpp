@@ -81,12 +81,8 @@ TriMesh leaf_mesh(const Scene& scene)
     const auto found = scene.points.find("leaves");
     if (found == scene.points.end()) return mesh;
     const Points& leaves = found->second;
-    const auto normal = leaves.attributes.find("N"), size = leaves.attributes.find("pscale");
-    const auto* n = normal == leaves.attributes.end()
-                        ? nullptr
-                        : std::get_if<std::vector<Vec3f>>(&normal->second);
-    const auto* s =
-        size == leaves.attributes.end() ? nullptr : std::get_if<std::vector<float>>(&size->second);
+    const auto* n = leaves.values<Vec3f>("N");
+    const auto* s = leaves.values<float>("pscale");
     if (!n || !s)
         throw InvalidInput("the points 'leaves' need the attributes N (vec3s) and pscale (float)");
     for (std::size_t i = 0; i < leaves.position.size(); ++i) {

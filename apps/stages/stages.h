@@ -23,12 +23,4 @@ std::unique_ptr<Stage> make_export();
 std::unique_ptr<Stage> make_compare();
 std::unique_ptr<Stage> make_render();
 
-/// The lava preset a scene was made with, from its history; null when it has none.
-inline const Json* lava_params(const Scene& scene)
-{
-    for (auto entry = scene.history.rbegin(); entry != scene.history.rend(); ++entry)
-        if (entry->stage == "lava") return &entry->params;
-    return nullptr;
-}
-
 }  // namespace sekitei::apps

@@ -99,14 +99,7 @@ public:
         const Points& points = scene.points_of("statistics");
         const std::vector<std::string> species = species_names(scene);
         auto column = [&](const std::string& name) -> const std::vector<double>& {
-            const auto found = points.attributes.find(name);
-            const auto* values = found == points.attributes.end()
-                                     ? nullptr
-                                     : std::get_if<std::vector<double>>(&found->second);
-            if (!values)
-                throw InvalidInput(
-                    fmt::format("the points 'statistics' have no column '{}'", name));
-            return *values;
+            return statistics_column(points, name, "plot");
         };
         const auto &day = column("day"), &who = column("species");
         std::vector<render::Series> series;

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <memory>
 
+#include "core/clones.h"
 #include "core/error.h"
 #include "core/log.h"
 #include "core/math.h"
@@ -602,9 +603,9 @@ std::vector<Glimpse> glimpses(const Directions& d, double latitude,
 }
 
 /// Adds the beams that a block of sites sees. The same bits with and without AVX2.
-__attribute__((target_clones("avx2", "default"))) void add_beams(
-    const Glimpse& g, const std::int32_t* first, const std::int32_t* second, const float* nx,
-    const float* ny, const float* nz, float* sum, std::size_t count)
+SEKITEI_CLONES void add_beams(const Glimpse& g, const std::int32_t* first,
+                              const std::int32_t* second, const float* nx, const float* ny,
+                              const float* nz, float* sum, std::size_t count)
 {
     for (std::size_t i = 0; i < count; ++i) {
         const float cosine = nx[i] * g.beam.x + ny[i] * g.beam.y + nz[i] * g.beam.z;

@@ -5,17 +5,11 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/clones.h"
 #include "core/error.h"
 #include "core/inline_math.h"
 #include "core/math.h"
 #include "core/parallel.h"
-
-// The same source for wider registers, chosen at run time; without FMA the bytes are the same.
-#if defined(__x86_64__) && !defined(__SANITIZE_THREAD__) && !defined(__SANITIZE_ADDRESS__)
-#define SEKITEI_WIDE __attribute__((target_clones("avx2", "default")))
-#else
-#define SEKITEI_WIDE
-#endif
 
 namespace sekitei::moss {
 namespace {
@@ -54,8 +48,8 @@ double gate(const Rules& rules, double light)
 constexpr std::size_t kBlock = 256;
 constexpr double kNoLimit = 1e300;
 
-SEKITEI_WIDE void bells_above(const float* x, std::size_t n, double limit, double x0, double x1,
-                              double* above)
+SEKITEI_CLONES void bells_above(const float* x, std::size_t n, double limit, double x0, double x1,
+                                double* above)
 {
     for (std::size_t i = 0; i < n; ++i) {
         const double value = x[i] < limit ? x[i] : limit;
@@ -64,18 +58,18 @@ SEKITEI_WIDE void bells_above(const float* x, std::size_t n, double limit, doubl
     }
 }
 
-SEKITEI_WIDE void roots(double* distance, std::size_t n)
+SEKITEI_CLONES void roots(double* distance, std::size_t n)
 {
     for (std::size_t i = 0; i < n; ++i) distance[i] = std::sqrt(distance[i]);
 }
 
-SEKITEI_WIDE void multiply_shaped(double* g, const double* above, const double* power,
-                                  std::size_t n, double scale)
+SEKITEI_CLONES void multiply_shaped(double* g, const double* above, const double* power,
+                                    std::size_t n, double scale)
 {
     for (std::size_t i = 0; i < n; ++i) g[i] *= shaped(above[i], power[i], scale);
 }
 
-SEKITEI_WIDE void multiply_gate(double* g, const float* light, std::size_t n, double compensation)
+SEKITEI_CLONES void multiply_gate(double* g, const float* light, std::size_t n, double compensation)
 {
     for (std::size_t i = 0; i < n; ++i)
         g[i] *= 1 - math::inline_exp(-static_cast<double>(light[i]) / compensation);

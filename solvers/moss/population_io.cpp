@@ -85,15 +85,14 @@ Vec3d stray(std::uint64_t key, std::uint64_t id, Vec3d n)
 template <class T>
 const std::vector<T>& attribute(const Points& points, const char* name, const char* type)
 {
+    if (const auto* values = points.values<T>(name)) return *values;
     const auto found = points.attributes.find(name);
     if (found == points.attributes.end())
         throw InvalidInput(fmt::format("moss points: no attribute {}", name));
-    const auto* values = std::get_if<std::vector<T>>(&found->second);
-    if (!values) throw InvalidInput(fmt::format("moss points: {} must be {}", name, type));
-    if (values->size() != points.position.size())
+    if (const auto* values = std::get_if<std::vector<T>>(&found->second))
         throw InvalidInput(fmt::format("moss points: {} has {} values for {} points", name,
                                        values->size(), points.position.size()));
-    return *values;
+    throw InvalidInput(fmt::format("moss points: {} must be {}", name, type));
 }
 
 constexpr char kMagic[8] = {'S', 'E', 'K', 'I', 'M', 'O', 'S', 'S'};

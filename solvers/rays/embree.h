@@ -24,6 +24,54 @@
 /// Whoever includes this links `embree`.
 namespace sekitei::rays {
 
+/// A ray from `origin` at distances [near, far], in lengths of `direction`.
+inline RTCRay ray_of(Vec3f origin, Vec3f direction, float near, float far)
+{
+    RTCRay ray;
+    ray.org_x = origin.x;
+    ray.org_y = origin.y;
+    ray.org_z = origin.z;
+    ray.dir_x = direction.x;
+    ray.dir_y = direction.y;
+    ray.dir_z = direction.z;
+    ray.tnear = near;
+    ray.tfar = far;
+    ray.time = 0;
+    ray.mask = 0xFFFFFFFFu;
+    ray.id = 0;
+    ray.flags = 0;
+    return ray;
+}
+
+/// What the ray meets first; false where that is nothing.
+inline bool first_hit(RTCScene scene, const RTCRay& ray, RTCRayHit& query)
+{
+    query.ray = ray;
+    query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+    query.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+#if RTC_VERSION_MAJOR >= 4
+    rtcIntersect1(scene, &query, nullptr);
+#else
+    RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    rtcIntersect1(scene, &context, &query);
+#endif
+    return query.hit.geomID != RTC_INVALID_GEOMETRY_ID;
+}
+
+/// Whether the ray meets anything.
+inline bool any_hit(RTCScene scene, RTCRay ray)
+{
+#if RTC_VERSION_MAJOR >= 4
+    rtcOccluded1(scene, &ray, nullptr);
+#else
+    RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    rtcOccluded1(scene, &context, &ray);
+#endif
+    return ray.tfar < 0;
+}
+
 struct Hit {
     std::uint32_t triangle = 0;
     double distance = 0;  ///< in lengths of the ray's direction
@@ -105,17 +153,7 @@ public:
     bool intersect(Vec3f origin, Vec3f direction, float near, float far, Hit& hit) const
     {
         RTCRayHit query;
-        fill(query.ray, origin, direction, near, far);
-        query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-        query.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-#if RTC_VERSION_MAJOR >= 4
-        rtcIntersect1(scene_, &query, nullptr);
-#else
-        RTCIntersectContext context;
-        rtcInitIntersectContext(&context);
-        rtcIntersect1(scene_, &context, &query);
-#endif
-        if (query.hit.geomID == RTC_INVALID_GEOMETRY_ID) return false;
+        if (!first_hit(scene_, ray_of(origin, direction, near, far), query)) return false;
         hit.triangle = query.hit.primID;
         refine(origin, direction, query.ray.tfar, hit);
         return true;
@@ -124,16 +162,7 @@ public:
     /// Whether anything is met at a distance in [near, far].
     bool occluded(Vec3f origin, Vec3f direction, float near, float far) const
     {
-        RTCRay ray;
-        fill(ray, origin, direction, near, far);
-#if RTC_VERSION_MAJOR >= 4
-        rtcOccluded1(scene_, &ray, nullptr);
-#else
-        RTCIntersectContext context;
-        rtcInitIntersectContext(&context);
-        rtcOccluded1(scene_, &context, &ray);
-#endif
-        return ray.tfar < 0;
+        return any_hit(scene_, ray_of(origin, direction, near, far));
     }
 
     /// Memory that Embree holds now.
@@ -153,21 +182,6 @@ private:
         return who + ": vertex " + std::to_string(i) + " is (" + std::to_string(p.x) + ", " +
                std::to_string(p.y) + ", " + std::to_string(p.z) +
                "), must be finite and within 1e15 m";
-    }
-    static void fill(RTCRay& ray, Vec3f origin, Vec3f direction, float near, float far)
-    {
-        ray.org_x = origin.x;
-        ray.org_y = origin.y;
-        ray.org_z = origin.z;
-        ray.dir_x = direction.x;
-        ray.dir_y = direction.y;
-        ray.dir_z = direction.z;
-        ray.tnear = near;
-        ray.tfar = far;
-        ray.time = 0;
-        ray.mask = 0xFFFFFFFFu;
-        ray.id = 0;
-        ray.flags = 0;
     }
 
     /// Distance and weights in double [Moeller1997]; Embree's distance for a ray within the plane.

@@ -9,16 +9,10 @@
 #include <limits>
 #include <numeric>
 
+#include "core/clones.h"
 #include "core/error.h"
 #include "core/math.h"
 #include "core/parallel.h"
-
-// The same source for wider registers, chosen at run time; without FMA the bytes are the same.
-#if defined(__x86_64__) && !defined(__SANITIZE_THREAD__) && !defined(__SANITIZE_ADDRESS__)
-#define SEKITEI_WIDE __attribute__((target_clones("avx2", "default")))
-#else
-#define SEKITEI_WIDE
-#endif
 
 namespace sekitei::weathering {
 namespace {
@@ -301,13 +295,13 @@ FloatGrid worn_grid(const std::vector<std::vector<WornVoxel>>& worn, const Trans
 
 /// Arcs of the nearest points of n segments for a leaf's voxels, in the arithmetic of
 /// NearLines::nearest().
-SEKITEI_WIDE void leaf_arcs(const double* __restrict xs, const double* __restrict ys,
-                            const double* __restrict zs, const double* __restrict ax,
-                            const double* __restrict ay, const double* __restrict az,
-                            const double* __restrict dx, const double* __restrict dy,
-                            const double* __restrict dz, const double* __restrict inverse,
-                            const double* __restrict arc0, const double* __restrict length,
-                            std::size_t n, double* __restrict arc)
+SEKITEI_CLONES void leaf_arcs(const double* __restrict xs, const double* __restrict ys,
+                              const double* __restrict zs, const double* __restrict ax,
+                              const double* __restrict ay, const double* __restrict az,
+                              const double* __restrict dx, const double* __restrict dy,
+                              const double* __restrict dz, const double* __restrict inverse,
+                              const double* __restrict arc0, const double* __restrict length,
+                              std::size_t n, double* __restrict arc)
 {
     for (int row = 0; row < 64; ++row) {
         const double x = xs[row >> 3], y = ys[row & 7];

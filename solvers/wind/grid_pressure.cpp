@@ -4,8 +4,8 @@
 #include <array>
 #include <cmath>
 
+#include "core/clones.h"
 #include "core/parallel.h"
-#include "solvers/wind/clones.h"
 
 namespace sekitei::wind::grid {
 namespace {

@@ -5,11 +5,11 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/clones.h"
 #include "core/error.h"
 #include "core/math.h"
 #include "core/parallel.h"
 #include "solvers/wind/air.h"
-#include "solvers/wind/clones.h"
 
 namespace sekitei::wind::grid {
 namespace {

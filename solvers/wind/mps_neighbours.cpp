@@ -5,9 +5,9 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/clones.h"
 #include "core/error.h"
 #include "core/parallel.h"
-#include "solvers/wind/clones.h"
 #include "solvers/wind/mps_kernel.h"
 
 namespace sekitei::wind::mps {

@@ -12,10 +12,12 @@
 #include "core/hash.h"
 #include "core/noise.h"
 #include "grids/marching_tetrahedra.h"
+#include "tests/bench/measure.h"
 
 namespace {
 
 using namespace sekitei;
+using bench::median;
 
 constexpr int kEdge = 300;
 
@@ -69,12 +71,6 @@ double seconds(F&& f)
     const auto begin = std::chrono::steady_clock::now();
     f();
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-}
-
-double median(std::vector<double> times)
-{
-    std::sort(times.begin(), times.end());
-    return times[times.size() / 2];
 }
 
 }  // namespace

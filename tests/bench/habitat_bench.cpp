@@ -24,24 +24,14 @@
 #include "core/parallel.h"
 #include "grids/level_set.h"
 #include "solvers/moss/landing.h"
+#include "tests/bench/measure.h"
 
 namespace {
 
 using namespace sekitei;
+using bench::median;
+using bench::seconds_of;
 using namespace sekitei::apps;
-
-double seconds_of(const std::function<void()>& work)
-{
-    const auto start = std::chrono::steady_clock::now();
-    work();
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
-
-double median(std::vector<double> values)
-{
-    std::ranges::sort(values);
-    return values[values.size() / 2];
-}
 
 void run(Scene& scene, const std::string& name, const Json& values)
 {

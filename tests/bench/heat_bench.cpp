@@ -17,10 +17,12 @@
 #include "core/log.h"
 #include "grids/leaf_stencil.h"
 #include "solvers/cooling/cooling.h"
+#include "tests/bench/measure.h"
 
 namespace {
 
 using namespace sekitei;
+using bench::median;
 
 constexpr double kAlpha = 0.1;
 
@@ -32,12 +34,6 @@ double seconds_of(const std::function<void()>& work)
     work();
     if (thread_count() == 1) return double(std::clock() - used) / CLOCKS_PER_SEC;
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
-
-double median(std::vector<double> values)
-{
-    std::sort(values.begin(), values.end());
-    return values[values.size() / 2];
 }
 
 /// A bumpy rock of 4 million voxels in a box of 256^3.

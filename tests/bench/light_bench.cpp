@@ -15,24 +15,14 @@
 #include "core/solar_day.h"
 #include "solvers/light/light.h"
 #include "solvers/rays/embree.h"
+#include "tests/bench/measure.h"
 #include "tests/support/lantern.h"
 
 namespace {
 
 using namespace sekitei;
-
-double seconds_of(const std::function<void()>& work)
-{
-    const auto start = std::chrono::steady_clock::now();
-    work();
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
-
-template <class T>
-std::string hash_of(const std::vector<T>& v)
-{
-    return hash_hex({reinterpret_cast<const char*>(v.data()), v.size() * sizeof(T)}).substr(0, 16);
-}
+using bench::hash_of;
+using bench::seconds_of;
 
 /// A bare loop: the rays of the same directions into the front of each site, as Embree's manual
 /// writes it. Returns how many rays.

@@ -19,17 +19,12 @@
 #include "grids/level_set.h"
 #include "solvers/moss/landing.h"
 #include "solvers/moss/population.h"
+#include "tests/bench/measure.h"
 
 namespace {
 
 using namespace sekitei;
-
-double seconds_of(const std::function<void()>& work)
-{
-    const auto start = std::chrono::steady_clock::now();
-    work();
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
+using bench::seconds_of;
 
 struct Case {
     std::string name;

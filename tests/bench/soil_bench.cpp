@@ -15,10 +15,13 @@
 #include "core/random.h"
 #include "solvers/moss/growth.h"
 #include "solvers/soil/soil.h"
+#include "tests/bench/measure.h"
 
 namespace {
 
 using namespace sekitei;
+using bench::hash_of;
+using bench::seconds_of;
 
 constexpr std::size_t kSites = 200000;
 
@@ -63,24 +66,11 @@ struct Ground {
     }
 };
 
-double seconds_of(const std::function<void()>& work)
-{
-    const auto start = std::chrono::steady_clock::now();
-    work();
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
-
 struct Case {
     std::string name;
     std::function<void()> work;
     std::function<std::string()> hash;
 };
-
-template <class T>
-std::string hash_of(const std::vector<T>& v)
-{
-    return hash_hex({reinterpret_cast<const char*>(v.data()), v.size() * sizeof(T)}).substr(0, 16);
-}
 
 }  // namespace
 

@@ -15,8 +15,10 @@
 #include "core/noise.h"
 #include "core/parallel.h"
 #include "grids/vdb_file.h"
+#include "tests/bench/measure.h"
 
 using namespace sekitei;
+using bench::median;
 
 namespace {
 
@@ -25,12 +27,6 @@ double seconds(auto&& work)
     const auto begin = std::chrono::steady_clock::now();
     work();
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-}
-
-double median(std::vector<double> v)
-{
-    std::sort(v.begin(), v.end());
-    return v[v.size() / 2];
 }
 
 }  // namespace

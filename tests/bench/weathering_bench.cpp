@@ -14,10 +14,12 @@
 #include "core/parallel.h"
 #include "solvers/weathering/boundary.h"
 #include "solvers/weathering/pieces.h"
+#include "tests/bench/measure.h"
 
 namespace {
 
 using namespace sekitei;
+using bench::median;
 using namespace sekitei::weathering;
 
 struct Scene {
@@ -102,11 +104,6 @@ struct Times {
     std::vector<double> cut, component, collapse, density;
     double cut_cpu = 0, component_cpu = 0, collapse_cpu = 0, density_cpu = 0;  // of the last repeat
 };
-double median(std::vector<double> times)
-{
-    std::sort(times.begin(), times.end());
-    return times[times.size() / 2];
-}
 
 void measure(const Scene& scene)
 {

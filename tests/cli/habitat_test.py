@@ -413,25 +413,7 @@ class InOtherPrograms(HabitatTest):
     @unittest.skipUnless(shutil.which("blender"), "Blender is not installed")
     def test_blender_opens_scene_and_points(self):
         self.moss_points()
-        script = self.write("look.py", """
-import numpy
-numpy.bool = bool
-import bpy, json, sys
-bpy.ops.wm.read_factory_settings(use_empty=True)
-scene, points = sys.argv[sys.argv.index("--") + 1:]
-bpy.ops.object.volume_import(filepath=scene)
-volume = bpy.context.object.data
-volume.grids.load()
-grids = sorted(g.name for g in volume.grids)
-bpy.ops.import_mesh.ply(filepath=points)
-data = bpy.context.object.data
-print("RESULT " + json.dumps({"grids": grids, "vertices": len(data.vertices)}))
-""")
-        done = subprocess.run(["blender", "--background", "--factory-startup", "--python", str(script), "--", str(self.moss),
-                               str(self.folder / "moss.ply")], capture_output=True, text=True, timeout=200)
-        line = next((l for l in done.stdout.split("\n") if l.startswith("RESULT ")), None)
-        self.assertIsNotNone(line, done.stdout[-2000:] + done.stderr[-2000:])
-        seen = json.loads(line[7:])
+        seen = self.seen_by_blender(self.moss, self.folder / "moss.ply")
         self.assertLessEqual({*UNITS, *PLAIN}, set(seen["grids"]))
         count = next(g["active_voxels"] for g in self.info(self.moss)["grids"] if g["name"] == "moss")
         self.assertEqual(seen["vertices"], len(self.moss_points().split(b"end_header\n", 1)[1]) //

@@ -8,26 +8,10 @@ import unittest
 
 import foreign
 from foreign import pyopenvdb
-from support import CliTest, SceneTest, environment, run
+from support import CliTest, SceneTest, run
 
 # pyopenvdb as Debian builds it knows these value types only.
 KNOWN = {"float", "bool", "vec3s"}
-
-BLENDER = """
-import numpy
-numpy.bool = bool
-import bpy, json, sys
-bpy.ops.wm.read_factory_settings(use_empty=True)
-scene, mesh = sys.argv[sys.argv.index("--") + 1:]
-bpy.ops.object.volume_import(filepath=scene)
-volume = bpy.context.object.data
-volume.grids.load()
-grids = sorted(g.name for g in volume.grids)
-bpy.ops.import_mesh.ply(filepath=mesh)
-data = bpy.context.object.data
-print("RESULT " + json.dumps({"grids": grids, "vertices": len(data.vertices), "polygons": len(data.polygons)}))
-"""
-
 
 class Outwards(SceneTest):
     def test_pyopenvdb_sees_what_info_tells(self):
@@ -106,12 +90,7 @@ class Outwards(SceneTest):
 
     @unittest.skipUnless(shutil.which("blender"), "Blender is not installed")
     def test_blender_sees_grids_and_vertices(self):
-        script = self.write("look.py", BLENDER)
-        done = subprocess.run(["blender", "--background", "--factory-startup", "--python", str(script), "--", str(self.weathered), str(self.mesh)],
-                              capture_output=True, text=True, timeout=120)
-        line = next((l for l in done.stdout.split("\n") if l.startswith("RESULT ")), None)
-        self.assertIsNotNone(line, done.stdout[-2000:] + done.stderr[-2000:])
-        seen = json.loads(line[7:])
+        seen = self.seen_by_blender(self.weathered, self.mesh)
         described = self.succeed("info", self.weathered, "--json").json()[0]["grids"]
         self.assertEqual(seen["grids"], sorted(g["name"] for g in described))
         info = self.succeed("info", self.mesh, "--json").json()[0]
