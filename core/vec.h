@@ -81,6 +81,12 @@ constexpr Vec3<T> max(Vec3<T> a, Vec3<T> b)
     return {a.x > b.x ? a.x : b.x, a.y > b.y ? a.y : b.y, a.z > b.z ? a.z : b.z};
 }
 
+/// A ball [m].
+struct Sphere {
+    Vec3f centre;
+    float radius = 0;
+};
+
 /// An axis-aligned box, empty until something is added.
 struct Bounds {
     Vec3d lower{INFINITY}, upper{-INFINITY};

@@ -1,0 +1,36 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "core/mesh.h"
+#include "core/progress.h"
+#include "core/vec.h"
+
+namespace sekitei {
+
+/// The faces of a finely divided mesh: pieces of surface small enough to have one climate each.
+///
+/// Structure of arrays; site i is triangle i of `mesh`. A function of the mesh alone.
+struct MeshSites {
+    TriMesh mesh;                     ///< the divided mesh, without attributes
+    std::vector<std::uint32_t> face;  ///< of the original mesh, in which each site lies
+    std::vector<Vec3f> position;      ///< centroids [m]
+    std::vector<Vec3f> normal;        ///< unit, outwards
+    std::vector<float> area;          ///< [m^2]
+    /// Sites that share an edge or a vertex with site i, ascending, itself left out:
+    /// neighbour[neighbour_begin[i] .. neighbour_begin[i + 1]).
+    std::vector<std::uint32_t> neighbour_begin, neighbour;
+
+    std::size_t size() const { return position.size(); }
+};
+
+/// Halves every edge that is longer than `longest_edge`, at its midpoint and once for both of its
+/// triangles, until none is: the surface stays exactly what it was.
+/// @throws InvalidInput      no triangles; vertices that are not finite, or neighbours that are
+///                           wound against each other, with the first ten
+/// @throws InvalidParameter  longest_edge <= 0
+/// @throws LimitExceeded     2^31 sites or more
+MeshSites mesh_sites(const TriMesh& mesh, double longest_edge, const Progress& progress);
+
+}  // namespace sekitei
