@@ -52,28 +52,7 @@ constexpr std::pair<const char*, int WeatherDay::*> kWhole[] = {
 constexpr std::pair<double, double> kPossible[] = {{180, 340}, {0, 1},  {0, 5000},  {0, 150},
                                                    {0, 24},    {0, 24}, {300, 1200}};
 
-constexpr int kRock = 3;       // and the harder ones after it
-constexpr int kOwnSoil = 100;  // geology of a soil from a file
 constexpr float kWallSlope = 0.10f;
-
-/// Sums of several values over the cells in one pass, in a fixed order.
-template <class F>
-auto sums(std::size_t count, F&& values)
-{
-    using Sum = decltype(values(std::size_t(0)));
-    auto join = [](Sum a, const Sum& b) {
-        for (std::size_t k = 0; k < a.size(); ++k) a[k] += b[k];
-        return a;
-    };
-    return parallel_fold(
-        count, 1024, Sum{},
-        [&](std::size_t begin, std::size_t end) {
-            Sum sum{};
-            for (std::size_t i = begin; i != end; ++i) sum = join(sum, values(i));
-            return sum;
-        },
-        join);
-}
 
 /// The soil that ClimateParams::soil means: where the soil stage left its numbers, those, so that a
 /// file of soil is read once.
@@ -245,27 +224,6 @@ Weather weather_of(const Scene& scene)
     return weather;
 }
 
-ParamList describe(ClimateParams& params)
-{
-    ParamList list = describe_params(params);
-    for (Param& p : describe_params(params.exchange)) list.push_back(std::move(p));
-    for (Param& p : describe_params(params.ground))
-        if (p.name != "balance") list.push_back(std::move(p));
-    return list;
-}
-
-void validate(const ClimateParams& params)
-{
-    validate_described("soil", params);
-    soil::validate(params.ground);
-}
-
-soil::Soil find_soil(const std::string& name, const std::filesystem::path& folder)
-{
-    return preset_or_file("soil", name, folder, soil::preset_soils(),
-                          [](soil::Soil& soil, const std::string&) { soil::validate(soil); });
-}
-
 Points table_points(const wind::AirTables& tables)
 {
     Points points;
@@ -404,14 +362,9 @@ std::vector<std::string> climate_uses()
 
 Climate::Climate(const Scene& scene, const ClimateParams& params,
                  const std::filesystem::path& folder, const Progress& progress)
-    : params_(params), weather_(weather_of(scene))
+    : weather_(weather_of(scene))
 {
-    const bool full = params.profile == Profile::Full;
-    params_.ground.balance =
-        params.balance.value_or(full ? soil::Balance::Exact : soil::Balance::Linear);
-    params_.sky_view = params.sky_view.value_or(full);
-    params_.rain_shelter = params.rain_shelter.value_or(full);
-    params_.runoff = params.runoff.value_or(full);
+    const ClimateParams p = resolved(params);
     site_ = *weather_.site;
     const FloatGrid& surface = scene.floats("surface_sdf");
     cells_ = surface_cells(surface, scene.vectors("surf_normal"), scene.floats("surf_area"),
@@ -419,59 +372,50 @@ Climate::Climate(const Scene& scene, const ClimateParams& params,
     coefficients_ = coefficients_of(scene, cells_);
 
     // Soils: what the scene says, else the same everywhere.
-    soils_ = soil::preset_soils();
-    soils_.push_back(own_soil(scene, params, folder));
-    int id = kOwnSoil;
-    for (std::size_t k = 0; k + 1 < soils_.size(); ++k)
-        if (soils_[k].name == params.soil) id = static_cast<int>(k) + 1;
-    geology_ = scene.has("geology") ? cells_.from_grid(scene.ints("geology"), 0)
-                                    : std::vector<std::int32_t>(cells_.size(), id);
-    soil_index_.resize(cells_.size());
+    GroundSites s;
+    s.own = own_soil(scene, params, folder);
+    const std::vector<soil::Soil>& soils = soil::preset_soils();
+    const int id = geology_of_soil(params.soil);
+    s.geology = scene.has("geology") ? cells_.from_grid(scene.ints("geology"), 0)
+                                     : std::vector<std::int32_t>(cells_.size(), id);
     for (std::size_t i = 0; i < cells_.size(); ++i) {
-        if (geology_[i] == 0) geology_[i] = id;
-        const bool known = geology_[i] == kOwnSoil ||
-                           (geology_[i] > 0 && geology_[i] < static_cast<int>(soils_.size()));
+        if (s.geology[i] == 0) s.geology[i] = id;
+        const bool known = s.geology[i] == kOwnSoil ||
+                           (s.geology[i] > 0 && s.geology[i] <= static_cast<int>(soils.size()));
         if (!known)
             throw InvalidInput(fmt::format(
                 "grid geology: {} at voxel ({}, {}, {}); expected 0 (the parameter soil), 1 to {} "
                 "or {}",
-                geology_[i], cells_.voxel[i].x, cells_.voxel[i].y, cells_.voxel[i].z,
-                soils_.size() - 1, kOwnSoil));
-        soil_index_[i] = static_cast<std::uint8_t>(
-            geology_[i] == kOwnSoil ? soils_.size() - 1 : std::size_t(geology_[i] - 1));
+                s.geology[i], cells_.voxel[i].x, cells_.voxel[i].y, cells_.voxel[i].z, soils.size(),
+                kOwnSoil));
     }
     if (scene.has("soil_h"))
-        depth_ = cells_.from_grid(scene.floats("soil_h"), 1);
+        s.depth = cells_.from_grid(scene.floats("soil_h"), 1);
     else if (params.depth)
-        depth_.assign(cells_.size(), static_cast<float>(*params.depth * 1000));
+        s.depth.assign(cells_.size(), static_cast<float>(*params.depth * 1000));
     else {
-        depth_ = thickness(surface, cells_, progress.slice(0.3, 0.4));
+        s.depth = thickness(surface, cells_, progress.slice(0.3, 0.4));
         for (std::size_t i = 0; i < cells_.size(); ++i)
-            if (geology_[i] >= kRock && geology_[i] != kOwnSoil) depth_[i] = 20;
+            if (is_stone(s.geology[i])) s.depth[i] = kSkinDepth;
     }
-    capacity_.resize(cells_.size());
-    for (std::size_t i = 0; i < cells_.size(); ++i) {
-        if (!(depth_[i] > 0))
+    for (std::size_t i = 0; i < cells_.size(); ++i)
+        if (!(s.depth[i] > 0))
             throw InvalidInput(fmt::format("grid soil_h: {} mm at voxel ({}, {}, {}), must be > 0",
-                                           depth_[i], cells_.voxel[i].x, cells_.voxel[i].y,
+                                           s.depth[i], cells_.voxel[i].x, cells_.voxel[i].y,
                                            cells_.voxel[i].z));
-        capacity_[i] = double(depth_[i]) * soils_[soil_index_[i]].porosity;
-    }
 
-    has_wind_ = scene.has("wind_ratio_0");
-    if (has_wind_) {
+    if (scene.has("wind_ratio_0")) {
         for (int k = 0; k < 8; ++k)
-            wind_ratio_[std::size_t(k)] =
+            s.wind_ratio[std::size_t(k)] =
                 cells_.from_grid(scene.floats(fmt::format("wind_ratio_{}", k)), 1);
-        tables_ = tables_of(scene);
-        if (!tables_.layers.empty()) {
-            layer_.resize(cells_.size());
+        s.tables = tables_of(scene);
+        if (!s.tables.layers.empty()) {
+            s.layer.resize(cells_.size());
             for (std::size_t i = 0; i < cells_.size(); ++i)
-                layer_[i] = static_cast<std::uint8_t>(tables_.layer_at(cells_.position[i].z));
+                s.layer[i] = static_cast<std::uint8_t>(s.tables.layer_at(cells_.position[i].z));
         }
     }
-    for (const float a : cells_.area) area_ += a;
-    if (*params_.runoff) {
+    if (*p.runoff) {
         std::vector<Vec3d> foot(cells_.size());
         std::vector<float> up(cells_.size());
         for (std::size_t i = 0; i < cells_.size(); ++i) {
@@ -482,116 +426,25 @@ Climate::Climate(const Scene& scene, const ClimateParams& params,
         // In a gap of one voxel both feet may meet: such drops are lost.
         for (std::size_t i = 0; i < drops.size(); ++i)
             if (drops[i] >= 0 && !(foot[std::size_t(drops[i])].z < foot[i].z)) drops[i] = -1;
-        paths_ = soil::runoff_paths(
+        s.paths = soil::runoff_paths(
             {foot, up, cells_.area, cells_.neighbour_begin, cells_.neighbour, drops},
             progress.slice(0.6, 1));
     }
-}
-
-std::size_t Climate::bytes() const
-{
-    auto size = [](const auto& v) { return v.capacity() * sizeof(v[0]); };
-    std::size_t sum = size(geology_) + size(soil_index_) + size(depth_) + size(capacity_) +
-                      size(layer_) + size(paths_.order) + size(paths_.begin) + size(paths_.target) +
-                      size(paths_.share);
-    for (const auto& ratio : wind_ratio_) sum += size(ratio);
-    return sum;
-}
-
-std::vector<double> Climate::initial_water() const
-{
-    std::vector<double> water(capacity_);
-    for (double& w : water) w *= params_.initial_water;
-    return water;
+    s.area = cells_.area;
+    s.sky_view = coefficients_.sky_view;
+    s.rain_exposure = coefficients_.rain_exposure;
+    ground_ = Ground(params, site_, std::move(s));
 }
 
 void Climate::advance(std::size_t index, std::vector<double>& water, std::span<const float> cover,
                       ClimateDay& day, const Progress& progress) const
 {
-    const std::size_t n = cells_.size();
     const WeatherDay& w = weather_.days[index];
-    day.weather = w;
     const auto moments = sun::moments_of_day(w.year, w.month, w.day, site_);
-    const sun::Radiation radiation = sun::radiation(w, site_, moments);
     // A day's light asks no more rays: where they would start does not matter.
     day.light = light::day(coefficients_, {cells_.position, cells_.normal, cells_.area}, moments,
-                           radiation);
-
-    // Air before the object, and along it.
-    const auto k = std::size_t(w.wind_direction);
-    day.wind.resize(n);
-    day.air_temperature.resize(n);
-    day.air_humidity.resize(n);
-    // Seasons are half a year apart on the southern hemisphere.
-    const int season = day_of_year(w.year, w.month, w.day) + (site_.latitude < 0 ? 183 : 0);
-    const double pond =
-        params_.water_temperature.value_or(wind::water_temperature((season - 1) % 366 + 1));
-    const wind::Air air = wind::air_before(w, pond, tables_, params_.exchange);
-    const std::vector<wind::Air> layers = wind::air_by_layer(w, pond, tables_, params_.exchange);
-    parallel_for_range(
-        n,
-        [&](std::size_t begin, std::size_t end) {
-            for (std::size_t i = begin; i != end; ++i) {
-                const wind::Air& here = layer_.empty() ? air : layers[layer_[i]];
-                day.air_temperature[i] = float(here.temperature);
-                day.air_humidity[i] = float(here.humidity);
-                day.wind[i] = float(here.speed * (has_wind_ ? double(wind_ratio_[k][i]) : 1.0));
-            }
-        },
-        4096);
-
-    // Rain, and what runs on.
-    std::vector<double>& rain = day.rain.supply;
-    rain.resize(n);
-    const bool shelter = *params_.rain_shelter;
-    const auto before = sums(n, [&](std::size_t i) {
-        const double area = double(cells_.area[i]);
-        rain[i] = w.precipitation * (shelter ? double(coefficients_.rain_exposure[i]) : 1.0);
-        return std::array{water[i] * area, rain[i] * area};
-    });
-    const double stored = before[0];
-    day.rainfall = before[1];
-    double outflow = 0;
-    if (*params_.runoff) {
-        soil::route_rain(paths_, cells_.area, capacity_, water, rain, day.rain);
-        outflow = day.rain.outflow;
-    } else {
-        day.rain.run.assign(n, 0);
-    }
-
-    soil::Inputs inputs{
-        .water = water,
-        .light = day.light.total,
-        .temperature = day.air_temperature,
-        .humidity = day.air_humidity,
-        .rain = day.rain.supply,
-        .wind = day.wind,
-        .sky_view = 1.0f,
-        .cover = 0.0f,
-        .depth = depth_,
-        .soil = soil_index_,
-        .soils = soils_,
-        .air = {.sunshine =
-                    w.possible_sunshine > 0 ? std::min(1.0, w.sunshine / w.possible_sunshine) : 0.0,
-                .pressure = w.pressure,
-                .longwave = w.longwave}};
-    if (*params_.sky_view) inputs.sky_view = coefficients_.sky_view;
-    if (!cover.empty()) inputs.cover = cover;
-    soil::run(inputs, params_.ground, day.ground, progress);
-
-    // What route_rain() sent on was not kept: soil::run() found the same excess, plus dew's.
-    const auto after = sums(n, [&](std::size_t i) {
-        const double area = double(cells_.area[i]);
-        return std::array{day.ground.water[i] * area, day.ground.evaporation[i] * area,
-                          (day.ground.runoff[i] - day.rain.run[i]) * area,
-                          day.rain.supply[i] * area};
-    });
-    day.evaporation = after[1];
-    day.outflow = outflow + after[2];
-    day.balance_error = (stored + day.rainfall - after[0] - day.evaporation - day.outflow) /
-                        std::max(stored + day.rainfall, area_);
-    day.inflow = after[3] - day.rainfall;
-    water.swap(day.ground.water);
+                           sun::radiation(w, site_, moments));
+    ground_.advance(w, day.light.total, water, cover, day, progress);
 }
 
 }  // namespace sekitei::apps

@@ -4,13 +4,13 @@
 #include <string>
 #include <vector>
 
+#include "apps/ground.h"
 #include "apps/stage.h"
 #include "core/progress.h"
 #include "core/weather.h"
 #include "grids/scene.h"
 #include "grids/surface_cells.h"
 #include "solvers/light/light.h"
-#include "solvers/soil/soil.h"
 #include "solvers/sun/sun.h"
 #include "solvers/wind/air.h"
 
@@ -23,62 +23,9 @@ Points weather_points(const Weather& weather);
 /// @throws InvalidInput  no days, an attribute that is missing
 Weather weather_of(const Scene& scene);
 
-/// How rain, sky and soil are taken into account.
-enum class Profile { Full, Paper };
-constexpr std::array<std::string_view, 2> choice_names(Profile)
-{
-    return {"full", "paper"};
-}
-
-struct ClimateParams {
-    Profile profile = Profile::Full;
-    std::optional<soil::Balance> balance;
-    std::optional<bool> sky_view, rain_shelter, runoff;
-    std::string soil = "rock";
-    std::optional<double> depth;
-    double initial_water = 0.5;
-    std::optional<double> water_temperature;
-    wind::Exchange exchange;
-    soil::Params ground;
-
-    static void describe(auto&& field)
-    {
-        field("profile", &ClimateParams::profile,
-              "full, or the papers' simplifications where a switch below is auto");
-        field("balance", &ClimateParams::balance,
-              "energy balance: exact (full) or linear as in the paper");
-        field("sky_view", &ClimateParams::sky_view,
-              "cells lose heat only to the sky they see (full), or to all of it (paper)");
-        field("rain_shelter", &ClimateParams::rain_shelter,
-              "roofs keep rain off (full), or it falls on every cell (paper)");
-        field("runoff", &ClimateParams::runoff,
-              "water that finds no room runs on over the surface (full), or is gone (paper)");
-        field("soil", &ClimateParams::soil,
-              "soil of the surface: rock, humus, sand, asphalt, or a .toml file");
-        field("depth", &ClimateParams::depth, "m", between(0.001, 1),
-              "depth of soil that holds water; auto: 20 mm of rock, else the solid's thickness "
-              "below each cell, 1 mm to 1 m");
-        field("initial_water", &ClimateParams::initial_water, "", kFraction,
-              "water of the first day as a share of what the soil can hold");
-        field("water_temperature", &ClimateParams::water_temperature, "K", between(273.15, 313.15),
-              "temperature of ponds; auto: 10 C in winter, 20 C in summer");
-    }
-};
-
-/// All switches of a climate as parameters of a stage.
-ParamList describe(ClimateParams& params);
-/// @throws InvalidParameter
-void validate(const ClimateParams& params);
-
 /// The state of every cell on one day; arrays have the size of the cells.
-struct ClimateDay {
-    WeatherDay weather;
+struct ClimateDay : GroundDay {
     light::Light light;
-    std::vector<float> wind, air_temperature, air_humidity;
-    soil::Runoff rain;  ///< supply: what falls on each cell and runs onto it [mm]
-    soil::Result ground;
-    double rainfall = 0, inflow = 0, evaporation = 0, outflow = 0;  ///< of the surface [mm m^2]
-    double balance_error = 0;  ///< water that is not accounted for / water that came
 };
 
 /// What is needed of a scene to know its climate.
@@ -92,26 +39,17 @@ public:
     /// @throws InvalidInput  grids that are missing or do not fit together
     Climate(const Scene& scene, const ClimateParams& params, const std::filesystem::path& folder,
             const Progress& progress);
+    Climate(const Climate&) = delete;  // the ground views the cells
+    Climate& operator=(const Climate&) = delete;
 
     const SurfaceCells& cells() const { return cells_; }
     const Weather& weather() const { return weather_; }
-    const std::vector<std::int32_t>& geology() const { return geology_; }
-    const std::vector<float>& depth() const { return depth_; }  ///< h [mm]
-    const std::vector<soil::Soil>& soils() const { return soils_; }
-    double area() const { return area_; }  ///< of all cells [m^2]
-    bool has_wind() const { return has_wind_; }
-    const wind::AirTables& tables() const { return tables_; }
+    const Ground& ground() const { return ground_; }
     const light::Coefficients& coefficients() const { return coefficients_; }
-
-    /// Memory of soil, wind and the water's paths, besides cells() and coefficients().
-    std::size_t bytes() const;
 
     /// Goes on with the weather from its beginning where it is shorter than `days`.
     /// @throws InvalidParameter  it holds no whole year
     void repeat(std::size_t days) { weather_ = select_days(weather_, 0, days, true); }
-
-    /// Water of each cell at the start [mm].
-    std::vector<double> initial_water() const;
 
     /// One day from yesterday's water.
     /// @param index  day of weather()
@@ -121,26 +59,12 @@ public:
                  ClimateDay& day, const Progress& progress) const;
 
 private:
-    ClimateParams params_;
     SurfaceCells cells_;
     Weather weather_;
     Site site_;
     light::Coefficients coefficients_;
-    std::vector<std::int32_t> geology_;
-    std::vector<std::uint8_t> soil_index_;
-    std::vector<soil::Soil> soils_;
-    std::vector<float> depth_;
-    std::vector<double> capacity_;
-    bool has_wind_ = false;
-    std::array<std::vector<float>, 8> wind_ratio_;
-    wind::AirTables tables_;
-    std::vector<std::uint8_t> layer_;  ///< of tables_.layers, for each cell
-    soil::Paths paths_;
-    double area_ = 0;
+    Ground ground_;
 };
-
-/// Index of a soil in a list by name, or one read from a .toml file.
-soil::Soil find_soil(const std::string& name, const std::filesystem::path& folder);
 
 /// The points `air_tables`: one for each direction the wind may blow from, at the origin.
 Points table_points(const wind::AirTables& tables);

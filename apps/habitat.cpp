@@ -70,14 +70,14 @@ double share_of(double sum, double area)
 
 }  // namespace
 
-GroundMeans::GroundMeans(const Climate& climate) : climate_(&climate)
+GroundMeans::GroundMeans(const Ground& ground) : ground_(&ground)
 {
-    for (auto& mean : mean_) mean.assign(climate.cells().size(), 0);
+    for (auto& mean : mean_) mean.assign(ground.size(), 0);
 }
 
-void GroundMeans::add(const ClimateDay& day, const std::vector<double>& water)
+void GroundMeans::add(const GroundDay& day, const std::vector<double>& water)
 {
-    const auto& depth = climate_->depth();
+    const auto& depth = ground_->depth();
     const double share = 1 / static_cast<double>(++days_);
     parallel_for(
         depth.size(),
@@ -96,25 +96,28 @@ void GroundMeans::add(const ClimateDay& day, const std::vector<double>& water)
         4096);
 }
 
-void GroundMeans::put(Scene& scene, const std::string& stage) const
+std::vector<GroundMeans::Field> GroundMeans::fields() const
 {
-    static constexpr std::pair<const char*, const char*> kNames[kCount] = {
-        {"soil_theta", ""}, {"soil_beta", ""},    {"soil_Ts", "K"},
-        {"soil_rh", ""},    {"soil_E", "mm/day"}, {"soil_runoff", "mm/day"}};
-    for (int k = 0; k < kCount; ++k)
-        scene.put(kNames[k].first, climate_->cells().to_grid(mean_[std::size_t(k)]),
-                  kNames[k].second, stage);
+    return {{"soil_theta", "", mean_[kTheta]},         {"soil_beta", "", mean_[kBeta]},
+            {"soil_Ts", "K", mean_[kTemperature]},     {"soil_rh", "", mean_[kHumidity]},
+            {"soil_E", "mm/day", mean_[kEvaporation]}, {"soil_runoff", "mm/day", mean_[kRunoff]}};
+}
+
+void GroundMeans::put(Scene& scene, const SurfaceCells& cells, const std::string& stage) const
+{
+    for (const Field& field : fields())
+        scene.put(field.name, cells.to_grid(field.values), field.unit, stage);
 }
 
 Json GroundMeans::summary() const
 {
-    const auto& area = climate_->cells().area;
+    const std::span<const float> area = ground_->site_area();
     auto mean = [&](int k) {
         return parallel_sum(area.size(),
                             [&](std::size_t i) {
                                 return double(area[i]) * double(mean_[std::size_t(k)][i]);
                             }) /
-               climate_->area();
+               ground_->area();
     };
     return {{"mean_temperature", mean(kTemperature)},
             {"mean_humidity", mean(kHumidity)},
@@ -145,9 +148,9 @@ void put_water(Scene& scene, const Climate& climate, const std::vector<double>& 
     const SurfaceCells& cells = climate.cells();
     scene.put("soil_water", cells.to_grid(std::vector<float>(water.begin(), water.end())), "mm",
               stage);
-    scene.put("soil_h", cells.to_grid(climate.depth()), "mm", stage);
-    scene.put("geology", cells.to_grid(climate.geology()), stage);
-    soil::Soil own = climate.soils().back();
+    scene.put("soil_h", cells.to_grid(climate.ground().depth()), "mm", stage);
+    scene.put("geology", cells.to_grid(climate.ground().geology()), stage);
+    soil::Soil own = climate.ground().soils().back();
     scene.grids.at("geology").extra["soil"] = params_json(describe_params(own)).dump();
 }
 
@@ -210,7 +213,7 @@ void Statistics::add(int number, const Climate& climate, const ClimateDay& day,
                      const std::vector<double>& water, const MossDay& mosses)
 {
     const SurfaceCells& cells = climate.cells();
-    const double area = climate.area();
+    const double area = climate.ground().area();
     double row[kColumns] = {};
     row[kDay] = number;
     row[kSpecies] = -1;
@@ -222,7 +225,7 @@ void Statistics::add(int number, const Climate& climate, const ClimateDay& day,
         sum[1] += a * double(day.ground.temperature[i]);
         sum[2] += humidity;
         if (kind(i) & kIsNorth) sum[3] += humidity;
-        sum[4] += a * water[i] / double(climate.depth()[i]);
+        sum[4] += a * water[i] / double(climate.ground().depth()[i]);
         sum[5] += a * day.ground.evaporation[i];
     });
     row[kLight] = ground[0] / area;

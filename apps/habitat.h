@@ -29,11 +29,17 @@ void add_to_mean(std::vector<float>& mean, std::size_t count, F&& value)
 /// Means over days of what each cell meets.
 class GroundMeans {
 public:
-    explicit GroundMeans(const Climate& climate);
-    void add(const ClimateDay& day, const std::vector<double>& water);
+    explicit GroundMeans(const Ground& ground);
+    void add(const GroundDay& day, const std::vector<double>& water);
 
+    /// A mean by the name of its grid, with its unit.
+    struct Field {
+        const char *name, *unit;
+        const std::vector<float>& values;
+    };
     /// soil_theta, soil_beta, soil_Ts, soil_rh, soil_E, soil_runoff.
-    void put(Scene& scene, const std::string& stage) const;
+    std::vector<Field> fields() const;
+    void put(Scene& scene, const SurfaceCells& cells, const std::string& stage) const;
     Json summary() const;
     std::size_t days() const { return days_; }
 
@@ -43,7 +49,7 @@ public:
 
 private:
     enum { kTheta, kBeta, kTemperature, kHumidity, kEvaporation, kRunoff, kCount };
-    const Climate* climate_;
+    const Ground* ground_;
     std::size_t days_ = 0;
     std::array<std::vector<float>, kCount> mean_;
 };

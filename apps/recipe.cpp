@@ -171,12 +171,13 @@ toml::table parse(const std::string& text, const std::filesystem::path& file)
     }
 }
 
-const std::vector<std::string>& extensions_of(OutputKind kind)
+const std::vector<std::string>& extensions_of(Stage& stage)
 {
     static const std::vector<std::string> kScene{".vdb"},
         kMesh{".ply", ".obj", ".stl", ".off", ".glb", ".vdb"}, kPicture{".png"}, kTable{".csv"},
         kPoints{".ply"};
-    switch (kind) {
+    if (makes_mesh(stage)) return kMesh;
+    switch (stage.info().output) {
         case OutputKind::Mesh:
             return kMesh;
         case OutputKind::Picture:
@@ -352,6 +353,20 @@ void check_supplies(const std::vector<Draft>& drafts, const std::vector<std::siz
     }
 }
 
+/// Tells each stage whether a mesh comes to it from those it reads.
+void pass_meshes_on(std::vector<Draft>& drafts, const std::vector<std::size_t>& order)
+{
+    std::set<std::string> with_mesh;
+    for (const std::size_t i : order) {
+        Stage& stage = *drafts[i].stage.process;
+        const bool there =
+            std::any_of(drafts[i].from.begin(), drafts[i].from.end(),
+                        [&](const std::string& parent) { return with_mesh.contains(parent); });
+        if (stage.info().reads_mesh) stage.meets_mesh(there);
+        if (there || makes_mesh(stage)) with_mesh.insert(drafts[i].stage.name);
+    }
+}
+
 /// File names must suit the stage, stay inside the output folder and be used once.
 void check_writes(const std::vector<Draft>& drafts, Errors& errors)
 {
@@ -366,9 +381,14 @@ void check_writes(const std::vector<Draft>& drafts, Errors& errors)
                        fmt::format("{}: every = {} numbers scenes after the stage's own file, but "
                                    "it writes none; add write = \"{}.vdb\"",
                                    stage.name, every->value_text(), stage.name));
+        if (!stage.process->side_files().empty())
+            errors.add(draft.source,
+                       fmt::format("{}: {} would be written behind the recipe's back; write points "
+                                   "with an `export` stage",
+                                   stage.name, stage.process->side_files().front().string()));
         for (const std::string& name : stage.write) {
             const std::filesystem::path path(name);
-            const auto& allowed = extensions_of(stage.process->info().output);
+            const auto& allowed = extensions_of(*stage.process);
             auto complain = [&](const std::string& text) {
                 errors.add(draft.write_source,
                            fmt::format("{}.write: '{}' {}", stage.name, name, text));
@@ -494,10 +514,10 @@ Recipe parse_recipe(const std::string& text, const std::filesystem::path& file,
     // By default a stage reads the one above it.
     for (std::size_t i = 1; i < drafts.size(); ++i)
         if (!drafts[i].from_given && drafts[i].stage.process &&
-            drafts[i].stage.process->info().reads_scene)
+            drafts[i].stage.process->reads_scene())
             drafts[i].from = {drafts[i - 1].stage.name};
     for (const Draft& draft : drafts)
-        if (draft.stage.process && !draft.stage.process->info().reads_scene && !draft.from.empty())
+        if (draft.stage.process && !draft.stage.process->reads_scene() && !draft.from.empty())
             errors.add(draft.source,
                        fmt::format("{}.from: the stage '{}' reads no other", draft.stage.name,
                                    draft.stage.process->info().name));
@@ -514,6 +534,7 @@ Recipe parse_recipe(const std::string& text, const std::filesystem::path& file,
     const bool known = std::all_of(drafts.begin(), drafts.end(),
                                    [](const Draft& d) { return d.stage.process != nullptr; });
     const std::vector<std::size_t> order = sorted(drafts, errors);
+    if (known && order.size() == drafts.size()) pass_meshes_on(drafts, order);
     if (known && order.size() == drafts.size()) check_supplies(drafts, order, errors);
     check_writes(drafts, errors);
     errors.raise();

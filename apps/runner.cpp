@@ -274,12 +274,20 @@ private:
         return list;
     }
 
+    /// Whether stage k is part of the history of what stage i makes: a mesh is where stage i goes
+    /// on with its triangles.
+    bool counts(std::size_t k, std::size_t i) const
+    {
+        const OutputKind kind = stage(k).process->info().output;
+        return kind == OutputKind::Scene ||
+               (kind == OutputKind::Mesh && makes_mesh(*stage(i).process));
+    }
+
     std::vector<HistoryEntry> history(std::size_t i) const
     {
         std::vector<HistoryEntry> entries;
         for (const std::size_t k : ancestors(i))
-            if (stage(k).process->info().output == OutputKind::Scene)
-                entries.push_back(history_of(*stage(k).process, context(k)));
+            if (counts(k, i)) entries.push_back(history_of(*stage(k).process, context(k)));
         if (stage(i).process->info().output == OutputKind::Scene)
             entries.push_back(history_of(*stage(i).process, context(i)));
         return entries;
@@ -347,6 +355,12 @@ private:
                                     extension(stage(i).process->info().output));
     }
 
+    /// Of the mesh beside a scene that has one.
+    fs::path mesh_path(std::size_t i, const std::string& key) const
+    {
+        return result_path(i, key).replace_extension(".ply");
+    }
+
     /// The record of a finished stage with this key, if its result file is whole.
     Record find_record(std::size_t i, const std::string& key, std::string& reason) const
     {
@@ -363,6 +377,12 @@ private:
             fs::file_size(result, error) != record.json.value("bytes", std::uint64_t{0}) ||
             file_hash(result, context(i).progress) != record.json.value("file_hash", "")) {
             reason = "its kept result is missing or damaged";
+            return {};
+        }
+        if (const std::string mesh = record.json.value("mesh_hash", "");
+            !mesh.empty() && (!fs::exists(mesh_path(i, key)) ||
+                              file_hash(mesh_path(i, key), context(i).progress) != mesh)) {
+            reason = "its kept mesh is missing or damaged";
             return {};
         }
         const Json frames = record.json.value("frames", Json::object());
@@ -540,8 +560,7 @@ private:
         scene_.heat_domain = outline.heat_domain;
         scene_.history.clear();
         for (const std::size_t k : ancestors(i))
-            if (stage(k).process->info().output == OutputKind::Scene)
-                scene_.history.push_back(history_of(*stage(k).process, context(k)));
+            if (counts(k, i)) scene_.history.push_back(history_of(*stage(k).process, context(k)));
 
         StageContext c = context(i);
         c.checkpoint = cache_ / fmt::format("{}-{}.checkpoint", stage(i).name, key.substr(0, 16));
@@ -602,6 +621,7 @@ private:
         // Keep the result: the file first, the record that vouches for it last.
         const fs::path result = result_path(i, key);
         const Progress keeping = c.progress.named("keeping the result");
+        std::string mesh_hash;
         std::map<std::string, std::string> outputs;
         if (process.info().output == OutputKind::Picture)
             write_png(result, process.picture);
@@ -622,6 +642,11 @@ private:
                 for (const auto& [name, grid] : part.grids)
                     outputs[name] = content_hash(grid, keeping);
                 for (const auto& [name, points] : part.points) outputs[name] = content_hash(points);
+                if (const auto mesh = part.meshes.find("rock"); mesh != part.meshes.end()) {
+                    const std::string bytes = encode_mesh(mesh->second, ".ply", keeping);
+                    outputs["rock"] = mesh_hash = hash_hex(bytes);
+                    write_file(mesh_path(i, key), bytes, keeping);
+                }
                 write_vdb(result, part, {}, keeping);
             } catch (...) {
                 for (const std::string& name : process.makes()) move_item(name, part, scene_);
@@ -657,7 +682,8 @@ private:
                        {"frames", frames},
                        {"summary", summary},
                        {"seconds", seconds_now() - start}}};
-        if (process.info().output == OutputKind::Mesh)
+        if (!mesh_hash.empty()) record.json["mesh_hash"] = file_hash(mesh_path(i, key), keeping);
+        if (makes_mesh(process))
             record.json["bounds"] = bounds_json(scene_.meshes.at("rock").bounds());
         write_file(record_path(i, key), record.json.dump(1));
         std::error_code ignored;
@@ -722,10 +748,11 @@ private:
         const std::string key = records_[item.maker].json["key"];
         const fs::path result = result_path(item.maker, key);
         const Progress reading = context(item.maker).progress.named("reading");
-        if (stage(item.maker).process->info().output == OutputKind::Mesh)
-            scene_.meshes[name] =
-                decode_ply(read_file(result, 1ull << 36, reading), result.string());
-        else {
+        if (stage(item.maker).process->info().output == OutputKind::Mesh ||
+            (name == "rock" && records_[item.maker].json.contains("mesh_hash"))) {
+            const fs::path mesh = mesh_path(item.maker, key);
+            scene_.meshes[name] = decode_ply(read_file(mesh, 1ull << 36, reading), mesh.string());
+        } else {
             ReadOptions read;
             read.only = {name};
             read.memory_limit = options_.memory_limit;
@@ -825,7 +852,8 @@ private:
         } else if (suffix == ".vdb") {
             Scene whole;
             for (const auto& [name, item] : visible_[i])
-                if (stage(item.maker).process->info().output == OutputKind::Scene) load(name, item);
+                if (stage(item.maker).process->info().output == OutputKind::Scene && name != "rock")
+                    load(name, item);
             for (const auto& [name, item] : visible_[i]) move_item(name, scene_, whole);
             whole.domain = outlines_[i].domain;
             whole.heat_domain = outlines_[i].heat_domain;

@@ -99,6 +99,12 @@ void log_mesh_report(const std::filesystem::path& file, const MeshReadReport& re
         log::detail("{}: split {} polygons into triangles", file.string(), report.split_polygons);
 }
 
+bool makes_mesh(Stage& stage)
+{
+    const std::vector<std::string> made = stage.makes();
+    return std::find(made.begin(), made.end(), "rock") != made.end();
+}
+
 InvalidInput named_after(const std::string& file, const InvalidInput& error)
 {
     const std::string what = error.what();

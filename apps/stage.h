@@ -31,6 +31,7 @@ struct StageInfo {
     /// Whose parameters it looks up in the scene's history: "soil" for all of a stage's,
     /// "lava.preset" for one.
     std::vector<std::string> recalls{};
+    bool reads_mesh = false;  ///< works on the triangles of a mesh `rock` too, and passes them on
 };
 
 /// What a stage would need, found before anything is allocated.
@@ -62,6 +63,10 @@ class Stage {
 public:
     virtual ~Stage() = default;
     virtual const StageInfo& info() const = 0;
+    /// Told before anything else where what it reads brings a mesh `rock`.
+    virtual void meets_mesh(bool /*there*/) {}
+    /// Whether it reads a scene with its present parameters.
+    virtual bool reads_scene() { return info().reads_scene; }
     /// What it reads of a scene with its present parameters.
     virtual std::vector<std::string> needs() { return info().needs; }
     /// What it reads besides where it is there.
@@ -70,6 +75,8 @@ public:
     virtual std::vector<std::string> makes() { return info().makes; }
     /// Files it reads besides those that path parameters name, as written.
     virtual std::vector<std::filesystem::path> files() { return {}; }
+    /// Files that it writes itself besides its result, as written; not in recipes.
+    virtual std::vector<std::filesystem::path> side_files() { return {}; }
     /// Bound to this object; set values through it.
     virtual ParamList params() = 0;
     /// @throws InvalidParameter
@@ -124,6 +131,9 @@ std::string maker_hint(const std::string& item);
 /// @throws InvalidInput  what `stage` cannot do without and `scene` has not, what it has, and which
 ///                       stage makes that
 void require_needs(Stage& stage, const Scene& scene);
+
+/// Whether a mesh is part of what it makes: one that goes beside its scene file.
+bool makes_mesh(Stage& stage);
 
 /// What a file is to blame for begins with its name; the name is not repeated.
 InvalidInput named_after(const std::string& file, const InvalidInput& error);

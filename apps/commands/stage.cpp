@@ -37,13 +37,22 @@ fs::path mesh_beside(const std::string& scene)
     return fs::path(scene).replace_extension(".ply");
 }
 
-/// Every file that the outputs of the command line stand for.
-std::vector<fs::path> targets_of(const StageInfo& info, const Common& common)
+/// Whether a scene file is about the triangles of a mesh, which then lies beside it.
+bool speaks_of_mesh(const std::string& name)
 {
-    std::vector<fs::path> targets;
+    if (name == "-" || is_mesh_name(name)) return false;
+    const std::vector<VdbGridInfo> grids = inspect_vdb(name).grids;
+    return std::any_of(grids.begin(), grids.end(),
+                       [](const VdbGridInfo& grid) { return grid.points && grid.name == "sites"; });
+}
+
+/// Every file that the outputs of the command line stand for.
+std::vector<fs::path> targets_of(Stage& stage, const Common& common)
+{
+    std::vector<fs::path> targets = stage.side_files();
     for (const std::string& name : common.output) {
         targets.emplace_back(name);
-        if (info.output == OutputKind::Mesh && name != "-" && !is_mesh_name(name))
+        if (makes_mesh(stage) && name != "-" && !is_mesh_name(name))
             targets.push_back(mesh_beside(name));
     }
     return targets;
@@ -76,8 +85,10 @@ void check_frames(const ParamList& params, const Common& common)
 }
 
 /// Refuses now what could not be written later.
-void check_outputs(const StageInfo& info, const Common& common)
+void check_outputs(Stage& stage, const Common& common)
 {
+    const StageInfo& info = stage.info();
+    const bool mesh = makes_mesh(stage);
     if (common.output.empty())
         throw InvalidParameter(fmt::format(
             "{}: say where the result goes with -o FILE (or -o - for standard output)", info.name));
@@ -94,19 +105,18 @@ void check_outputs(const StageInfo& info, const Common& common)
         const bool fits = info.output == OutputKind::Picture  ? suffix == ".png"
                           : info.output == OutputKind::Table  ? suffix == ".csv"
                           : info.output == OutputKind::Points ? suffix == ".ply"
-                          : info.output == OutputKind::Mesh ? is_mesh_name(name) || suffix == ".vdb"
-                                                            : suffix == ".vdb";
+                          : mesh ? is_mesh_name(name) || suffix == ".vdb"
+                                 : suffix == ".vdb";
         if (!fits)
             throw InvalidParameter(fmt::format("-o {}: `{}` writes {}", name, info.name,
                                                info.output == OutputKind::Picture  ? ".png"
                                                : info.output == OutputKind::Table  ? ".csv"
                                                : info.output == OutputKind::Points ? ".ply"
-                                               : info.output == OutputKind::Mesh
-                                                   ? ".ply, .obj, .stl, .off, .glb or .vdb"
-                                                   : ".vdb"));
+                                               : mesh ? ".ply, .obj, .stl, .off, .glb or .vdb"
+                                                      : ".vdb"));
     }
     std::set<fs::path> seen;
-    for (const fs::path& target : targets_of(info, common)) {
+    for (const fs::path& target : targets_of(stage, common)) {
         if (!seen.insert(target.lexically_normal()).second)
             throw InvalidParameter(fmt::format("-o {}: would be written twice", target.string()));
         if (target == "-") continue;
@@ -179,6 +189,12 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common,
         scene.meshes["rock"] = std::move(mesh);
         return scene;
     };
+    auto load_mesh = [](const fs::path& path) {
+        MeshReadReport report;
+        TriMesh mesh = read_mesh(path, &report);
+        log_mesh_report(path, report);
+        return mesh;
+    };
     if (name == "-") {
         std::string start(3, '\0');
         std::size_t got = 0;
@@ -190,9 +206,13 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common,
             got += static_cast<std::size_t>(n);
         }
         if (start != "ply") {
-            if (!picture_of_surface) return read_vdb_stream(STDIN_FILENO, options, start, progress);
-            options.only.clear();
-            return with_surface(read_vdb_stream(STDIN_FILENO, options, start, progress));
+            if (picture_of_surface) options.only.clear();
+            Scene scene = read_vdb_stream(STDIN_FILENO, options, start, progress);
+            if (stage.info().reads_mesh && scene.points.contains("sites"))
+                throw InvalidInput(
+                    "standard input: the scene is about a mesh, which lies beside its file; give "
+                    "the file's name");
+            return picture_of_surface ? with_surface(std::move(scene)) : scene;
         }
         std::string bytes = start;
         char block[1 << 16];
@@ -201,15 +221,30 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common,
         return as_mesh(decode_ply(bytes, "standard input"));
     }
     if (is_mesh_name(name)) {
-        if (stage.info().output != OutputKind::Picture)
+        if (!stage.info().reads_mesh)
             throw InvalidInput(
                 fmt::format("{}: `{}` reads scenes (.vdb); make one with `sekitei lava --preset "
                             "mesh --mesh {}`",
                             name, stage.info().name, name));
-        MeshReadReport report;
-        TriMesh mesh = read_mesh(name, &report);
-        log_mesh_report(name, report);
-        return as_mesh(std::move(mesh));
+        Scene scene = as_mesh(load_mesh(name));
+        // As a stage that read it, so that the scene can be made again from its history.
+        const auto reader = make_stage("mesh");
+        find_param(reader->params(), "file")->set(name);
+        scene.history.push_back(history_of(*reader, {}));
+        return scene;
+    }
+    if (stage.info().reads_mesh && speaks_of_mesh(name)) {
+        const fs::path beside = mesh_beside(name);
+        if (!fs::exists(beside))
+            throw InvalidInput(
+                fmt::format("{}: it is about a mesh, which should lie beside it as "
+                            "{}, where there is none",
+                            name, beside.string()));
+        options.only.erase("rock");
+        if (stage.info().output == OutputKind::Picture) options.only.insert("sites");
+        Scene scene = read_vdb(name, options, progress);
+        scene.meshes["rock"] = load_mesh(beside);
+        return scene;
     }
     if (picture_of_surface) {
         std::set<std::string> present;
@@ -260,6 +295,13 @@ void write_result(Stage& stage, const Scene& scene, const std::string& name,
             write_vdb(name, scene, {}, progress);
             return;
         case OutputKind::Scene:
+            if (makes_mesh(stage)) {
+                const TriMesh& mesh = scene.meshes.at("rock");
+                if (name == "-")
+                    return write_to_stdout(encode_mesh(mesh, ".ply", progress), progress);
+                if (is_mesh_name(name)) return write_mesh(name, mesh, progress);
+                write_mesh(mesh_beside(name), mesh, progress);
+            }
             if (name == "-")
                 write_vdb_stream(STDOUT_FILENO, scene, progress);
             else
@@ -283,17 +325,19 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
                 fmt::format("{} --{}: {}", name, option_name(param), error.what()));
         }
     }
+    if (stage->info().reads_mesh && !inputs.empty())
+        stage->meets_mesh(is_mesh_name(inputs.front()) || speaks_of_mesh(inputs.front()));
     stage->validate();
-    if (inputs.empty() && stage->info().reads_scene)
+    if (inputs.empty() && stage->reads_scene())
         throw InvalidParameter(
             fmt::format("{}: which scene? give a .vdb file, or - for standard input", name));
-    if (!inputs.empty() && !stage->info().reads_scene)
+    if (!inputs.empty() && !stage->reads_scene())
         throw InvalidParameter(
             fmt::format("{}: reads no scene, but '{}' was given", name, inputs.front()));
     if (inputs.size() > 1 && !stage->info().reads_many)
         throw InvalidParameter(
             fmt::format("{}: reads one scene, but '{}' was given as well", name, inputs[1]));
-    check_outputs(stage->info(), common);
+    check_outputs(*stage, common);
     check_frames(params, common);
 
     StageContext context;
@@ -310,13 +354,15 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
                 read_input(*stage, input, common, context.progress.named("reading")));
     else if (!inputs.empty())
         scene = read_input(*stage, inputs.front(), common, context.progress.named("reading"));
-    for (const fs::path& target : targets_of(stage->info(), common))
+    if (!inputs.empty() && inputs.front() == "-" && stage->info().reads_mesh)
+        stage->meets_mesh(scene.meshes.contains("rock"));
+    for (const fs::path& target : targets_of(*stage, common))
         if (target != "-")
             remove_stale_temporaries(target.has_parent_path() ? target.parent_path() : ".");
     const HistoryEntry entry = history_of(*stage, context);
     // A mesh takes what attributes are there, and a picture can be of a volume.
     const bool sure = stage->info().output != OutputKind::Mesh && name != "render";
-    if (sure && !stage->info().reads_many && stage->info().reads_scene) {
+    if (sure && !stage->info().reads_many && stage->reads_scene()) {
         try {
             require_needs(*stage, scene);
         } catch (const InvalidInput& error) {

@@ -12,11 +12,14 @@ namespace sekitei::apps {
 namespace {
 
 struct MeshParams {
+    std::filesystem::path file;
     std::string grid = "density";
     std::optional<double> iso;
 
     static void describe(auto&& field)
     {
+        field("file", &MeshParams::file,
+              "mesh to read in place of a scene: PLY, OBJ, STL or OFF; empty: none");
         field("grid", &MeshParams::grid, "float grid whose surface is extracted");
         field("iso", &MeshParams::iso, "", kAny,
               "value at the surface; auto: half the largest value, 0 for level sets");
@@ -38,14 +41,20 @@ public:
         return kInfo;
     }
 
+    bool reads_scene() override { return params_.file.empty(); }
     std::vector<std::string> needs() override
     {
+        if (!params_.file.empty()) return {};
         if (params_.grid == "density") return info().needs;
         return {params_.grid};
     }
 
     ParamList params() override { return describe_params(params_); }
-    void validate() override { validate_described("mesh", params_); }
+    void validate() override
+    {
+        validate_described("mesh", params_);
+        if (!params_.file.empty()) warn_unused(*this, {"grid", "iso"}, "with file");
+    }
 
     Need estimate(SceneOutline& outline, const StageContext&) override
     {
@@ -57,6 +66,15 @@ public:
 
     Json run(Scene& scene, const StageContext& context) override
     {
+        if (!params_.file.empty()) {
+            const std::filesystem::path file = resolve(context, params_.file);
+            MeshReadReport report;
+            TriMesh mesh = read_mesh(file, &report);
+            log_mesh_report(file, report);
+            Json summary = summary_of(mesh);
+            scene.meshes["rock"] = std::move(mesh);
+            return summary;
+        }
         const FloatGrid& field = scene.floats(params_.grid);
         check_memory("mesh", memory(kTrianglesPerLeaf * double(field.dense_leaf_count())),
                      context.memory_limit);
@@ -80,15 +98,20 @@ public:
                 SurfaceGrids{field, iso, scene.ints("column"), scene.ints("component"),
                              scene.ints("surface"), nullptr, nullptr},
                 context.progress.slice(0.8, 1));
-        Json summary = {{"vertices", mesh.vertices.size()},
-                        {"triangles", mesh.triangles.size()},
-                        {"volume_m3", std::abs(mesh.signed_volume())},
-                        {"area_m2", mesh.area()}};
+        Json summary = summary_of(mesh);
         scene.meshes["rock"] = std::move(mesh);
         return summary;
     }
 
 private:
+    static Json summary_of(const TriMesh& mesh)
+    {
+        return {{"vertices", mesh.vertices.size()},
+                {"triangles", mesh.triangles.size()},
+                {"volume_m3", std::abs(mesh.signed_volume())},
+                {"area_m2", mesh.area()}};
+    }
+
     static double largest(const FloatGrid& grid)
     {
         return parallel_fold(

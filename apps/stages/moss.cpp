@@ -159,8 +159,8 @@ public:
         const moss::Surface surface = moss::surface_of(cells);
         const moss::CellLanding landing(level_set, cells);
         State now{moss::first_settlers(community, surface),
-                  climate.initial_water(),
-                  GroundMeans(climate),
+                  climate.ground().initial_water(),
+                  GroundMeans(climate.ground()),
                   Statistics(int(species.size())),
                   std::vector<std::vector<float>>(species.size(), std::vector<float>(n)),
                   std::vector<float>(n)};
@@ -222,7 +222,7 @@ public:
                 fmt::format("{} living, {:.3g} of the surface", last.species[s].living,
                             last.species[s].area / area);
         summary["largest_balance_error"] = now.statistics.largest_balance_error();
-        if (!climate.has_wind()) summary["wind"] = "as in the weather: no wind stage ran";
+        if (!climate.ground().has_wind()) summary["wind"] = "as in the weather: no wind stage ran";
         return summary;
     }
 
@@ -250,12 +250,13 @@ private:
             all["species " + kind.name] = hash_hex(params_json(describe_params(kind)).dump());
         if (const Json* soil = params_of(scene, "soil")) all["soil"] = hash_hex(soil->dump());
         std::string soils;
-        for (soil::Soil kind : climate.soils()) soils += params_json(describe_params(kind)).dump();
+        for (soil::Soil kind : climate.ground().soils())
+            soils += params_json(describe_params(kind)).dump();
         all["soils"] = hash_hex(soils);
         std::string wind;
-        for (int k = 0; k < 8 && climate.has_wind(); ++k)
+        for (int k = 0; k < 8 && climate.ground().has_wind(); ++k)
             wind += content_hash(scene.grids.at(fmt::format("wind_ratio_{}", k)));
-        if (climate.has_wind()) wind += content_hash(scene.points_of("air_tables"));
+        if (climate.ground().has_wind()) wind += content_hash(scene.points_of("air_tables"));
         all["wind"] = hash_hex(wind);
         for (const char* name : {"surface_sdf", "surf_normal", "surf_area", "sky_view",
                                  "rain_exposure", "light_S", "geology", "soil_h", "soil_water"})
@@ -307,7 +308,7 @@ private:
              const moss::Surface& surface, const FloatGrid& level_set, const State& now)
     {
         const SurfaceCells& cells = climate.cells();
-        now.means.put(scene, "moss");
+        now.means.put(scene, cells, "moss");
         put_water(scene, climate, now.water, "moss");
         scene.put("moss_species", cells.to_grid(moss::moss_species(now.population)), "moss");
         scene.put("moss_growth", cells.to_grid(now.population.growth), "", "moss");

@@ -59,7 +59,8 @@ public:
                                      {"rock"},
                                      {},
                                      false,
-                                     {"moss", "lantern"}};
+                                     {"moss", "lantern"},
+                                     true};
         return kInfo;
     }
 

@@ -64,8 +64,8 @@ public:
         const SurfaceCells& cells = climate.cells();
         const std::size_t n = cells.size(), days = climate.weather().days.size();
         check_memory("soil", memory(double(n)), context.memory_limit);
-        std::vector<double> water = climate.initial_water();
-        GroundMeans means(climate);
+        std::vector<double> water = climate.ground().initial_water();
+        GroundMeans means(climate.ground());
         Statistics statistics(0);
         if (scene.has("light_S"))
             statistics.choose(cells, cells.from_grid(scene.floats("light_S"), 0),
@@ -78,7 +78,7 @@ public:
             statistics.add(int(d) + 1, climate, day, water, {});
             progress.update(double(d + 1) / double(days));
         }
-        means.put(scene, "soil");
+        means.put(scene, cells, "soil");
         put_water(scene, climate, water, "soil");
         label(scene, makes(), days, params_.profile, context.seed);
         scene.points["statistics"] = statistics.points("soil");
@@ -86,7 +86,7 @@ public:
         summary["cells"] = n;
         summary["days"] = days;
         summary["largest_balance_error"] = statistics.largest_balance_error();
-        if (!climate.has_wind()) summary["wind"] = "as in the weather: no wind stage ran";
+        if (!climate.ground().has_wind()) summary["wind"] = "as in the weather: no wind stage ran";
         return summary;
     }
 

@@ -245,7 +245,7 @@ TEST_P(ClimateSwitches, DayIsLightAirRainAndSoilComposedByHand)
     const Climate climate(scene, params, {}, {});
     const SurfaceCells& cells = climate.cells();
     const light::Coefficients& c = climate.coefficients();
-    std::vector<double> water = climate.initial_water();
+    std::vector<double> water = climate.ground().initial_water();
     for (const double w : water) ASSERT_NEAR(w, 0.12, 1e-12);  // half of 20 mm of rock
     std::vector<float> cover(cells.size());
     for (std::size_t i = 0; i < cells.size(); ++i) cover[i] = float(i % 5) / 4;
@@ -329,8 +329,8 @@ TEST(Climate, WindAndPondReachEachCell)
     }
     scene.points["air_tables"] = table_points(tables);
     const Climate climate(scene, kFull, {}, {});
-    ASSERT_TRUE(climate.has_wind());
-    std::vector<double> water = climate.initial_water();
+    ASSERT_TRUE(climate.ground().has_wind());
+    std::vector<double> water = climate.ground().initial_water();
     ClimateDay day;
     for (std::size_t d = 0; d < 8; ++d) {
         climate.advance(d, water, {}, day, {});
@@ -359,7 +359,7 @@ TEST(Climate, OverAYearNoCellEvaporatesMoreThanItGot)
         habitat.context());
     const Climate climate(scene, kFull, {}, {});
     const std::size_t n = climate.cells().size();
-    std::vector<double> water = climate.initial_water(), first = water;
+    std::vector<double> water = climate.ground().initial_water(), first = water;
     std::vector<double> supply(n), evaporated(n), dew(n);
     ClimateDay day;
     double worst = 0;
@@ -428,7 +428,7 @@ TEST(Climate, WaterDripsInALineUnderARoofsEdge)
 
     // It is the roof's water that falls there: more than the open sky's on any cell.
     const Climate climate(scene, kFull, {}, {});
-    std::vector<double> water = climate.initial_water();
+    std::vector<double> water = climate.ground().initial_water();
     ClimateDay day;
     climate.advance(0, water, {}, day, {});
     double most = 0;
@@ -451,7 +451,7 @@ TEST(Climate, AVerticalCrackGathersItsWallsWater)
     habitat.light(wall,
                   weather_csv(3, [](int) { return Sky{.rain = 10, .wind = 4, .direction = 270}; }));
     const Climate climate(wall, kFull, {}, {});
-    std::vector<double> water = climate.initial_water();
+    std::vector<double> water = climate.ground().initial_water();
     ClimateDay day;
     climate.advance(0, water, {}, day, {});
     const SurfaceCells& cells = climate.cells();
@@ -508,11 +508,11 @@ TEST(Climate, SoilsOfTheSceneGoBeforeTheParameter)
     scene.put("geology", cells.to_grid(geology), "test");
     scene.put("soil_h", cells.to_grid(depth), "mm", "test");
     const Climate climate(scene, kFull, {}, {});
-    const std::vector<double> water = climate.initial_water();
+    const std::vector<double> water = climate.ground().initial_water();
     for (std::size_t i = 0; i < cells.size(); ++i) {
         const double porosity = i % 3 == 0 ? 0.012 : i % 3 == 1 ? 0.490 : 0.392;
         EXPECT_NEAR(water[i], 0.5 * porosity * double(10 + i), 1e-9);
-        EXPECT_EQ(climate.geology()[i], i % 3 == 0 ? 3 : int(i % 3));
+        EXPECT_EQ(climate.ground().geology()[i], i % 3 == 0 ? 3 : int(i % 3));
     }
     geology[2] = 17;
     scene.put("geology", cells.to_grid(geology), "test");
@@ -542,7 +542,7 @@ TEST(Climate, DepthOfSoilIsTheSolidsThicknessBelow)
     int rim = 0, middle = 0, walls = 0;
     for (std::size_t i = 0; i < cells.size(); ++i) {
         const Vec3d p = cells.position[i] - Vec3d(0.01, 0.02, 0);
-        const float h = climate.depth()[i];
+        const float h = climate.ground().depth()[i];
         const double out = std::max(std::abs(p.x), std::abs(p.y));
         if (cells.normal[i].z <= 0.1f) {
             EXPECT_EQ(h, 1);

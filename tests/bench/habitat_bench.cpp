@@ -83,7 +83,7 @@ struct Habitat {
           surface(moss::surface_of(cells)),
           landing(scene.floats("surface_sdf"), cells),
           population(moss::first_settlers(community, surface)),
-          water(climate.initial_water()),
+          water(climate.ground().initial_water()),
           means(climate),
           fitness(3, std::vector<float>(cells.size())),
           mean_fitness(fitness)
@@ -165,7 +165,7 @@ void print_bytes(const Scene& scene, const Habitat& h)
     line("daylight: bits", bytes_of(k.bits));
     line("daylight: links, sky_view, rain_exposure",
          bytes_of(k.links) + bytes_of(k.sky_view) + bytes_of(k.rain_exposure));
-    line("climate: soil, wind ratios, paths of the water", double(h.climate.bytes()));
+    line("climate: soil, wind ratios, paths of the water", double(h.climate.ground().bytes()));
     const ClimateDay& d = h.day;
     line("day: light", bytes_of(d.light.total) + bytes_of(d.light.direct) + bytes_of(d.light.sky) +
                            bytes_of(d.light.reflected));
