@@ -93,7 +93,8 @@ public:
     ///                       would drop its triangles without a word), an index out of range
     /// @throws Cancelled  from `progress`, which need not live on
     TriangleScene(const std::vector<Vec3f>& vertices, const std::vector<Triangle>& triangles,
-                  const std::string& who, const Progress& progress = {})
+                  const std::string& who, const Progress& progress = {},
+                  RTCBuildQuality quality = RTC_BUILD_QUALITY_MEDIUM)
         : vertices_(vertices), triangles_(triangles)
     {
         if (triangles.empty()) throw InvalidInput(who + ": the mesh has no triangles");
@@ -117,7 +118,7 @@ public:
             scene_,
             [](void* wish, double) { return !static_cast<const Progress*>(wish)->cancelled(); },
             const_cast<Progress*>(&progress));
-        rtcSetSceneBuildQuality(scene_, RTC_BUILD_QUALITY_MEDIUM);
+        rtcSetSceneBuildQuality(scene_, quality);
         rtcSetSceneFlags(scene_, RTC_SCENE_FLAG_ROBUST);
         RTCGeometry geometry = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE);
         void* points = rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0,
