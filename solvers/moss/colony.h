@@ -55,11 +55,10 @@ struct Individuals {
     friend bool operator==(const Individuals&, const Individuals&) = default;
 };
 
-/// 13 bytes more.
+/// 12 bytes more.
 struct Plants : Individuals {
     std::vector<float> growth, growth_max;  ///< G_moss and its highest so far
     std::vector<std::int32_t> born;         ///< day of germination
-    std::vector<std::uint8_t> interior;     ///< 1: enclosed by others, see interior()
 
     friend bool operator==(const Plants&, const Plants&) = default;
 };

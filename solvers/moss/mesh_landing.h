@@ -12,6 +12,9 @@
 /// Where seeds meet a mesh, and the mosses on it.
 namespace sekitei::moss {
 
+/// @throws InvalidInput  no sites; arrays that do not fit together
+void check_sites(const MeshSites& sites);
+
 /// A point of the land.
 struct LandPoint {
     Vec3d at;                ///< [m]
