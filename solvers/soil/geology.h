@@ -45,7 +45,7 @@ struct SoilColour {
 /// @throws InvalidParameter  an entry that is not "name #RRGGBB", no entry
 std::vector<SoilColour> soil_colours(std::string_view text);
 
-/// CIELAB, white point D65 2 degrees, of an sRGB colour with channels 0..1 [IEC61966].
+/// CIELAB, white point D65 2 degrees, of an sRGB colour (IEC 61966-2-1) with channels 0..1.
 Vec3d lab_of_srgb(Vec3d srgb);
 
 /// The soil of each site: 1 + its index in `soils`.
