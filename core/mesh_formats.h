@@ -1,9 +1,11 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <map>
 #include <string>
 #include <string_view>
+#include <variant>
 #include <vector>
 
 #include "core/mesh.h"
@@ -18,6 +20,7 @@ struct Polygons {
     std::vector<Vec3f> vertices;
     std::vector<std::uint32_t> corners;  ///< vertex indices, polygon after polygon, all in range
     std::vector<std::uint64_t> ends;     ///< of each polygon: one past its last corner
+    std::vector<std::array<float, 2>> texture;  ///< coordinates of each corner, or empty
     std::map<std::string, TriMesh::Attribute> vertex_attributes;
     std::map<std::string, TriMesh::Attribute> face_attributes;  ///< one value a polygon
     std::vector<std::uint64_t> places;  ///< of each vertex: its line, or its byte if `binary`
@@ -73,5 +76,22 @@ std::string shown(std::string_view word);
 /// The only words with a meaning of their own: attributes that each format spells its own way.
 inline constexpr const char* kNormal = "normal";  ///< Vec3f, unit vectors
 inline constexpr const char* kColour = "color";   ///< Vec3f, 0..1
+/// Texture coordinates of a face's three corners (Vec3f, z = 0).
+inline constexpr const char* kTexture[] = {"uv_0", "uv_1", "uv_2"};
+
+/// The three face attributes kTexture, or null.
+template <class Mesh>
+auto texture_of(Mesh& mesh)
+{
+    std::array<decltype(std::get_if<std::vector<Vec3f>>(&mesh.face_attributes.begin()->second)), 3>
+        corners{};
+    for (std::size_t k = 0; k < 3; ++k) {
+        const auto found = mesh.face_attributes.find(kTexture[k]);
+        if (found != mesh.face_attributes.end())
+            corners[k] = std::get_if<std::vector<Vec3f>>(&found->second);
+        if (!corners[k]) return decltype(corners){};
+    }
+    return corners;
+}
 
 }  // namespace sekitei::mesh_format

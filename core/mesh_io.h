@@ -30,6 +30,12 @@ struct MeshReadReport {
 /// `normal`; red, green, blue as `color` in 0..1). Groups `column_00042` of OBJ come back as
 /// `column`.
 ///
+/// Texture coordinates belong to the corners of faces, since a seam gives one vertex two of them:
+/// lines `vt` of OBJ, and of PLY the list `texcoord` of a face or else the vertex properties (s,
+/// t), (u, v), (texture_u, texture_v) or (texture_s, texture_t), come back as the face attributes
+/// uv_0, uv_1 and uv_2 (Vec3f, z = 0), one for each corner, and go out the same way. The picture
+/// itself, `map_Kd` of a material, is not looked for.
+///
 /// Zero-area triangles and vertices with equal position and attributes are dropped and counted.
 /// Neighbours are made to agree in orientation, and closed pieces turned to positive volume unless
 /// they wall a cavity. Holes and non-manifold edges stay; inspect() counts them.

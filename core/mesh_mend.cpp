@@ -116,6 +116,7 @@ public:
         std::uint64_t begin = 0;
         for (std::uint32_t i = 0; i < p.ends.size(); ++i) {
             face_ = i;
+            begin_ = begin;
             split(p.corners.data() + begin, p.ends[i] - begin);
             begin = p.ends[i];
         }
@@ -123,19 +124,25 @@ public:
 
     std::vector<Triangle> triangles;
     std::vector<std::uint32_t> face;  ///< the polygon each came from
+    std::vector<Triangle> places;     ///< in `corners`; only if these have texture coordinates
     std::size_t split_polygons = 0, too_short = 0, fanned = 0;
 
 private:
     const Polygons& p_;
     std::uint32_t face_ = 0;
+    std::uint64_t begin_ = 0;             // of the present polygon in `corners`
     std::uint64_t budget_ = 100'000'000;  // point tests; a hostile file must not cost minutes
     std::vector<std::array<double, 2>> flat_;
     std::vector<std::uint32_t> next_, previous_;
 
+    /// A triangle of the polygon's corners a, b and c.
     void add(std::uint32_t a, std::uint32_t b, std::uint32_t c)
     {
-        triangles.push_back({a, b, c});
+        const std::uint32_t* first = p_.corners.data() + begin_;
+        triangles.push_back({first[a], first[b], first[c]});
         face.push_back(face_);
+        const auto at = static_cast<std::uint32_t>(begin_);
+        if (!p_.texture.empty()) places.push_back({at + a, at + b, at + c});
     }
 
     Vec3d at(std::uint32_t vertex) const { return Vec3d(p_.vertices[vertex]); }
@@ -146,7 +153,7 @@ private:
             ++too_short;
             return;
         }
-        if (n == 3) return add(corner[0], corner[1], corner[2]);
+        if (n == 3) return add(0, 1, 2);
         ++split_polygons;
 
         // Project along the polygon's mean normal [Newell], so that it runs counter-clockwise.
@@ -177,7 +184,7 @@ private:
         const bool convex = all_convex();
         while (left > 3 && !convex && failed < left && budget_ > 0) {
             if (is_ear(i)) {
-                add(corner[previous_[i]], corner[i], corner[next_[i]]);
+                add(previous_[i], i, next_[i]);
                 next_[previous_[i]] = next_[i];
                 previous_[next_[i]] = previous_[i];
                 --left;
@@ -188,8 +195,7 @@ private:
         }
         if (left > 3 && !convex) ++fanned;
         if (convex) i = 0;
-        for (std::uint32_t k = next_[i]; next_[k] != i; k = next_[k])
-            add(corner[i], corner[k], corner[next_[k]]);
+        for (std::uint32_t k = next_[i]; next_[k] != i; k = next_[k]) add(i, k, next_[k]);
     }
 
     double turn(std::uint32_t a, std::uint32_t b, std::uint32_t c) const
@@ -364,7 +370,11 @@ std::size_t orient(TriMesh& mesh, std::vector<std::string>& warnings, const std:
     std::vector<double> volume;
     bool one_sided = false;
     std::size_t flipped = 0;
-    auto flip = [&](std::uint32_t t) { std::swap(mesh.triangles[t][1], mesh.triangles[t][2]); };
+    const auto texture = texture_of(mesh);
+    auto flip = [&](std::uint32_t t) {
+        std::swap(mesh.triangles[t][1], mesh.triangles[t][2]);
+        if (texture[0]) std::swap((*texture[1])[t], (*texture[2])[t]);
+    };
     const Vec3d origin = mesh.bounds().centre();
     for (std::uint32_t start = 0; start < count; ++start) {
         if (piece[start] != kNone) continue;
@@ -462,6 +472,7 @@ TriMesh mend(Polygons&& p, MeshReadReport& report)
 
     TriMesh mesh;
     std::vector<std::uint32_t> kept;
+    std::array<std::vector<Vec3f>, 3> texture;
     {
         Triangulation cut(p);
         report.split_polygons = cut.split_polygons;
@@ -480,6 +491,11 @@ TriMesh mend(Polygons&& p, MeshReadReport& report)
             }
             mesh.triangles.push_back(cut.triangles[t]);
             kept.push_back(cut.face[t]);
+            if (p.texture.empty()) continue;
+            for (std::size_t k = 0; k < 3; ++k) {
+                const auto& [u, v] = p.texture[cut.places[t][k]];
+                texture[k].emplace_back(u, v, 0.0f);
+            }
         }
     }
     if (mesh.triangles.empty())
@@ -488,6 +504,9 @@ TriMesh mend(Polygons&& p, MeshReadReport& report)
     mesh.vertex_attributes = std::move(p.vertex_attributes);
     mesh.face_attributes = std::move(p.face_attributes);
     select(mesh.face_attributes, kept);
+    if (!p.texture.empty())
+        for (std::size_t k = 0; k < 3; ++k)
+            mesh.face_attributes[kTexture[k]] = std::move(texture[k]);
 
     report.merged_vertices = p.merged;
     report.flipped_triangles = orient(mesh, p.warnings, p.name);

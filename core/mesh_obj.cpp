@@ -1,6 +1,8 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
+#include <bit>
 #include <limits>
 #include <map>
 
@@ -58,6 +60,7 @@ public:
             statement(line);
         }
         check_indices();
+        texture_corners();
         name_groups();
         if (!colours_.empty() && colours_.size() == out_.vertices.size())
             out_.vertex_attributes[kColour] = std::move(colours_);
@@ -73,6 +76,10 @@ private:
     std::uint64_t most_line_ = 0;
     Naming group_, material_, object_;
     std::vector<Vec3f> colours_;
+    std::vector<std::array<float, 2>> texture_;  ///< of the lines vt
+    /// Of each corner, from the first that has one: its index into texture_ from 1, or 0.
+    std::vector<std::uint32_t> texture_index_;
+    std::uint64_t most_texture_ = 0, most_texture_line_ = 0;
 
     InvalidInput error(const std::string& what) const
     {
@@ -86,13 +93,15 @@ private:
             vertex(line);
         else if (key == "f")
             face(line);
+        else if (key == "vt")
+            texture(line);
         else if (key == "g")
             group_.set(line);
         else if (key == "usemtl")
             material_.set(line);
         else if (key == "o")
             object_.set(line);
-        // everything else (texture coordinates, normals, curves, comments) has no use here
+        // everything else (normals, curves, comments) has no use here
     }
 
     void vertex(std::string_view line)
@@ -115,30 +124,54 @@ private:
                                   static_cast<float>(value[5]));
     }
 
+    void texture(std::string_view line)
+    {
+        std::array<float, 2> uv{};
+        for (std::size_t k = 0; k < 2; ++k) {
+            const std::string_view word = take_word(line);
+            if (k == 1 && (word.empty() || word.starts_with('#'))) break;  // a line of one number
+            double number = 0;
+            if (!to_number(word, number))
+                throw error(fmt::format("'{}', must be a number", shown(word)));
+            uv[k] = static_cast<float>(number);
+        }
+        texture_.push_back(uv);
+    }
+
+    /// Reads an index that counts from 1, or back from the last of `count`; notes the largest.
+    std::uint32_t index_of(std::string_view digits, std::string_view word, const char* what,
+                           std::size_t known, std::uint64_t& most, std::uint64_t& most_line) const
+    {
+        std::int64_t index = 0;
+        if (!to_integer(digits, index))
+            throw error(fmt::format("'{}', must be a {} index", shown(word), what));
+        const auto count = static_cast<std::int64_t>(known);
+        if (index == 0 || index < -count || index > 0xFFFFFFFF)
+            throw error(fmt::format("{} index {}, must be from 1, or from -{} when counted back",
+                                    what, index, count));
+        if (index < 0) return static_cast<std::uint32_t>(index + count + 1);
+        if (static_cast<std::uint64_t>(index) > most) {
+            most = static_cast<std::uint64_t>(index);
+            most_line = line_;
+        }
+        return static_cast<std::uint32_t>(index);
+    }
+
     void face(std::string_view line)
     {
         for (std::string_view word = take_word(line); !word.empty() && !word.starts_with('#');
              word = take_word(line)) {
-            // 7, 7/1, 7//3 or 7/1/3: the first number is the vertex
-            const std::string_view digits = word.substr(0, word.find('/'));
-            std::int64_t index = 0;
-            if (!to_integer(digits, index))
-                throw error(fmt::format("'{}', must be a vertex index", shown(word)));
-            const auto count = static_cast<std::int64_t>(out_.vertices.size());
-            if (index == 0 || index < -count || index > 0xFFFFFFFF)
-                throw error(
-                    fmt::format("vertex index {}, must be from 1, or from -{} when counted back",
-                                index, count));
-            if (index < 0)
-                index += count;
-            else {
-                if (static_cast<std::uint64_t>(index) > most_) {
-                    most_ = static_cast<std::uint64_t>(index);
-                    most_line_ = line_;
-                }
-                --index;
-            }
-            out_.corners.push_back(static_cast<std::uint32_t>(index));
+            // 7, 7/1, 7//3 or 7/1/3: vertex, texture coordinates, normal
+            const std::size_t slash = std::min(word.find('/'), word.size());
+            out_.corners.push_back(index_of(word.substr(0, slash), word, "vertex",
+                                            out_.vertices.size(), most_, most_line_) -
+                                   1);
+            std::string_view rest = word.substr(std::min(slash + 1, word.size()));
+            rest = rest.substr(0, rest.find('/'));
+            if (rest.empty()) continue;
+            texture_index_.resize(out_.corners.size(), 0);
+            texture_index_.back() =
+                index_of(rest, word, "texture", texture_.size(), most_texture_, most_texture_line_);
         }
         out_.ends.push_back(out_.corners.size());
         group_.of_polygon.push_back(group_.now);
@@ -156,6 +189,26 @@ private:
         if (most_ > out_.vertices.size())
             throw InvalidInput(fmt::format("{}:{}: vertex index {}, must be 1 to {}", name_,
                                            most_line_, most_, out_.vertices.size()));
+        if (most_texture_ > texture_.size())
+            throw InvalidInput(
+                fmt::format("{}:{}: texture index {}, but the file has {} lines 'vt'", name_,
+                            most_texture_line_, most_texture_, texture_.size()));
+    }
+
+    void texture_corners()
+    {
+        if (texture_index_.empty()) return;
+        texture_index_.resize(out_.corners.size(), 0);
+        out_.texture.reserve(out_.corners.size());
+        std::size_t without = 0;
+        for (const std::uint32_t i : texture_index_) {
+            without += i == 0;
+            out_.texture.push_back(i == 0 ? std::array<float, 2>{} : texture_[i - 1]);
+        }
+        if (without > 0)
+            out_.warnings.push_back(
+                fmt::format("{}: {} of {} corners have no texture coordinates: they get (0, 0)",
+                            name_, without, out_.corners.size()));
     }
 
     /// Groups name the faces; without groups the materials do, without these the objects.
@@ -244,6 +297,28 @@ std::string write_obj(const TriMesh& mesh, const Progress& progress)
             fmt::format_to(to, "vn {} {} {}\n", n.x, n.y, n.z);
         }
 
+    // Equal texture coordinates are written once.
+    const auto texture = texture_of(mesh);
+    std::vector<std::uint64_t> pairs;
+    const auto pair_of = [&](std::size_t k, std::uint32_t t) {
+        const Vec3f uv = (*texture[k])[t];
+        return std::uint64_t(std::bit_cast<std::uint32_t>(uv.x)) << 32 |
+               std::bit_cast<std::uint32_t>(uv.y);
+    };
+    if (texture[0]) {
+        pairs.reserve(3 * mesh.triangles.size());
+        for (std::uint32_t t = 0; t < mesh.triangles.size(); ++t)
+            for (std::size_t k = 0; k < 3; ++k) pairs.push_back(pair_of(k, t));
+        std::sort(pairs.begin(), pairs.end());
+        pairs.erase(std::unique(pairs.begin(), pairs.end()), pairs.end());
+        for (const std::uint64_t p : pairs) {
+            progress.check();
+            fmt::format_to(to, "vt {} {}\n",
+                           std::bit_cast<float>(static_cast<std::uint32_t>(p >> 32)),
+                           std::bit_cast<float>(static_cast<std::uint32_t>(p & 0xFFFFFFFFu)));
+        }
+    }
+
     // Faces in their order, or column by column.
     std::vector<std::uint32_t> order(mesh.triangles.size());
     for (std::uint32_t t = 0; t < order.size(); ++t) order[t] = t;
@@ -262,9 +337,15 @@ std::string write_obj(const TriMesh& mesh, const Progress& progress)
             (*column)[t] < 0 ? fmt::format_to(to, "g column_{}\n", (*column)[t])
                              : fmt::format_to(to, "g column_{:05}\n", (*column)[t]);
         out += 'f';
-        for (const std::uint32_t v : mesh.triangles[t])
-            normals ? fmt::format_to(to, " {}//{}", v + 1, v + 1)
-                    : fmt::format_to(to, " {}", v + 1);
+        for (std::size_t k = 0; k < 3; ++k) {
+            const std::uint32_t v = mesh.triangles[t][k];
+            fmt::format_to(to, " {}", v + 1);
+            if (texture[0])
+                fmt::format_to(to, "/{}",
+                               std::lower_bound(pairs.begin(), pairs.end(), pair_of(k, t)) -
+                                   pairs.begin() + 1);
+            if (normals) fmt::format_to(to, "{}{}", texture[0] ? "/" : "//", v + 1);
+        }
         out += '\n';
     }
     return out;

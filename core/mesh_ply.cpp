@@ -104,6 +104,7 @@ public:
                     element, [](std::size_t, double) {}, [](std::size_t, double) {}, [] {});
             }
         }
+        texture_of_vertices();
         if (encoding_ != Encoding::Ascii && at_ < bytes_.size())
             out_.warnings.push_back(fmt::format("{}: {} bytes behind the last element are not used",
                                                 name_, bytes_.size() - at_));
@@ -392,10 +393,10 @@ private:
         return e.properties.size();
     }
 
-    void warn_of_lists(const Element& e, std::size_t but)
+    void warn_of_lists(const Element& e, std::set<std::size_t> used)
     {
         for (std::size_t i = 0; i < e.properties.size(); ++i)
-            if (e.properties[i].list && i != but)
+            if (e.properties[i].list && !used.contains(i))
                 out_.warnings.push_back(
                     fmt::format("{}: list property '{}' of element {} is not used", name_,
                                 e.properties[i].name, e.name));
@@ -412,7 +413,7 @@ private:
                 throw InvalidInput(
                     fmt::format("{}: element vertex has no property '{}'", name_, name));
         }
-        warn_of_lists(e, e.properties.size());
+        warn_of_lists(e, {});
         std::vector<Column> columns(e.properties.size());
         out_.binary = encoding_ != Encoding::Ascii;
         out_.vertices.reserve(e.count);
@@ -444,12 +445,20 @@ private:
             !is_integer(e.properties[indices].type))
             throw InvalidInput(fmt::format(
                 "{}: element face has no integer list 'vertex_indices' or 'vertex_index'", name_));
-        warn_of_lists(e, indices);
+        std::size_t texture = find(e, "texcoord");  // u and v of each corner in turn
+        if (texture != e.properties.size() &&
+            (!e.properties[texture].list || is_integer(e.properties[texture].type)))
+            texture = e.properties.size();
+        bool textured = texture != e.properties.size();
+        std::vector<float> row_texture;
+        std::size_t without = 0;
+        warn_of_lists(e, {indices, texture});
         std::vector<Column> columns(e.properties.size());
         out_.ends.reserve(e.count);
         rows(
             e, [&](std::size_t i, double number) { columns[i].add(e.properties[i].type, number); },
             [&](std::size_t i, double number) {
+                if (i == texture && textured) row_texture.push_back(static_cast<float>(number));
                 if (i != indices) return;
                 if (number < 0 || number >= static_cast<double>(vertex_count_))
                     throw InvalidInput(fmt::format(
@@ -457,8 +466,52 @@ private:
                         out_.ends.size(), number, static_cast<double>(vertex_count_) - 1));
                 out_.corners.push_back(static_cast<std::uint32_t>(number));
             },
-            [&] { out_.ends.push_back(out_.corners.size()); });
+            [&] {
+                out_.ends.push_back(out_.corners.size());
+                if (!textured) return;
+                const std::size_t corners = out_.corners.size() - out_.texture.size();
+                without += row_texture.empty();
+                if (row_texture.empty()) row_texture.resize(2 * corners);
+                if (row_texture.size() != 2 * corners) {
+                    out_.warnings.push_back(fmt::format(
+                        "{}: list 'texcoord' of face {} has {} numbers for {} corners: texture "
+                        "coordinates are not used",
+                        place(), out_.ends.size() - 1, row_texture.size(), corners));
+                    textured = false;
+                    without = 0;
+                    out_.texture = {};
+                    return;
+                }
+                for (std::size_t k = 0; k < corners; ++k)
+                    out_.texture.push_back({row_texture[2 * k], row_texture[2 * k + 1]});
+                row_texture.clear();
+            });
+        if (without > 0)
+            out_.warnings.push_back(
+                fmt::format("{}: {} of {} faces have no texture coordinates: they get (0, 0)",
+                            name_, without, out_.ends.size()));
         attributes(e, columns, out_.face_attributes);
+    }
+
+    /// Texture coordinates of vertices are handed to the corners, so that they do not keep vertices
+    /// at one place apart.
+    void texture_of_vertices()
+    {
+        auto& attributes = out_.vertex_attributes;
+        for (const auto& [u, v] :
+             {std::pair("s", "t"), std::pair("u", "v"), std::pair("texture_u", "texture_v"),
+              std::pair("texture_s", "texture_t")}) {
+            const auto first = attributes.find(u), second = attributes.find(v);
+            if (first == attributes.end() || second == attributes.end()) continue;
+            const auto* us = std::get_if<std::vector<float>>(&first->second);
+            const auto* vs = std::get_if<std::vector<float>>(&second->second);
+            if (!us || !vs) continue;
+            if (out_.texture.empty())
+                for (const std::uint32_t i : out_.corners)
+                    out_.texture.push_back({(*us)[i], (*vs)[i]});
+            attributes.erase(u);
+            attributes.erase(v);
+        }
     }
 
     /// Names the columns: x, y, z of one vector come back as one attribute.
@@ -533,8 +586,17 @@ std::string property_name(std::string name)
 }
 
 using Attributes = std::map<std::string, TriMesh::Attribute>;
+/// Those that are written as properties of their own.
+using Listed = std::vector<const Attributes::value_type*>;
 
-void declare(std::string& header, const Attributes& attributes, std::set<std::string> taken)
+Listed list_all(const Attributes& attributes)
+{
+    Listed listed;
+    for (const auto& entry : attributes) listed.push_back(&entry);
+    return listed;
+}
+
+void declare(std::string& header, const Listed& attributes, std::set<std::string> taken)
 {
     auto add = [&](const char* type, const std::string& name) {
         if (name.empty() || !taken.insert(name).second)
@@ -542,7 +604,8 @@ void declare(std::string& header, const Attributes& attributes, std::set<std::st
                 fmt::format("ply: two attributes would be called '{}': rename one of them", name));
         header += fmt::format("property {} {}\n", type, name);
     };
-    for (const auto& [name, attribute] : attributes) {
+    for (const auto* entry : attributes) {
+        const auto& [name, attribute] = *entry;
         const std::string word = property_name(name);
         if (std::holds_alternative<std::vector<float>>(attribute))
             add("float", word);
@@ -557,9 +620,10 @@ void declare(std::string& header, const Attributes& attributes, std::set<std::st
     }
 }
 
-void append_row(std::string& out, const Attributes& attributes, std::size_t i)
+void append_row(std::string& out, const Listed& attributes, std::size_t i)
 {
-    for (const auto& [name, attribute] : attributes) {
+    for (const auto* entry : attributes) {
+        const auto& [name, attribute] = *entry;
         if (const auto* numbers = std::get_if<std::vector<float>>(&attribute))
             append_float(out, (*numbers)[i]);
         else if (const auto* integers = std::get_if<std::vector<std::int32_t>>(&attribute))
@@ -615,19 +679,36 @@ std::string write_ply(const TriMesh& mesh, const Progress& progress)
         "ply\nformat binary_little_endian 1.0\ncomment Sekitei: metres, z up\nelement vertex {}\n"
         "property float x\nproperty float y\nproperty float z\n",
         mesh.vertices.size());
-    declare(out, mesh.vertex_attributes, {"x", "y", "z"});
+    const Listed vertex_attributes = list_all(mesh.vertex_attributes);
+    declare(out, vertex_attributes, {"x", "y", "z"});
     out += fmt::format("element face {}\nproperty list uchar int vertex_indices\n",
                        mesh.triangles.size());
-    declare(out, mesh.face_attributes, {"vertex_indices"});
+    // Texture coordinates go the way other programs know: one list a face.
+    const auto texture = texture_of(mesh);
+    Listed face_attributes = list_all(mesh.face_attributes);
+    if (texture[0]) {
+        std::erase_if(face_attributes, [](const auto* entry) {
+            return std::ranges::count(kTexture, entry->first) > 0;
+        });
+        out += "property list uchar float texcoord\n";
+    }
+    declare(out, face_attributes, {"vertex_indices", "texcoord"});
     out += "end_header\n";
     append_rows(out, mesh.vertices.size(), progress, [&](std::string& row, std::size_t i) {
         for (int k = 0; k < 3; ++k) append_float(row, mesh.vertices[i][k]);
-        append_row(row, mesh.vertex_attributes, i);
+        append_row(row, vertex_attributes, i);
     });
     append_rows(out, mesh.triangles.size(), progress, [&](std::string& row, std::size_t t) {
         row += '\x03';
         for (const std::uint32_t v : mesh.triangles[t]) append32(row, v);
-        append_row(row, mesh.face_attributes, t);
+        if (texture[0]) {
+            row += '\x06';
+            for (const std::vector<Vec3f>* corner : texture) {
+                append_float(row, (*corner)[t].x);
+                append_float(row, (*corner)[t].y);
+            }
+        }
+        append_row(row, face_attributes, t);
     });
     return out;
 }

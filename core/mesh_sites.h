@@ -26,11 +26,19 @@ struct MeshSites {
 };
 
 /// Halves every edge that is longer than `longest_edge`, at its midpoint and once for both of its
-/// triangles, until none is: the surface stays exactly what it was.
+/// triangles, until none is: the surface stays exactly what it was, up to the rounding of the new
+/// vertices to floats. Normals are those of the faces; areas are their halves and quarters.
+///
+/// Vertices at one place become one, whatever attributes told them apart, so that sites are
+/// neighbours across creases and seams, and where solids touch edge to edge. Triangles below
+/// 1e-12 m^2 are left out and counted in the log; a closed mesh that is inside out is warned of.
+/// At an edge where several sheets meet, one more may run one way than the other.
 /// @throws InvalidInput      no triangles; vertices that are not finite, or neighbours that are
 ///                           wound against each other, with the first ten
-/// @throws InvalidParameter  longest_edge <= 0
-/// @throws LimitExceeded     2^31 sites or more
+/// @throws InvalidParameter  longest_edge <= 0, or too short for float coordinates
+/// @throws LimitExceeded     2^31 sites or more: estimated before anything is allocated
+///
+/// Bit-identical for any number of threads; about 110 bytes a site.
 MeshSites mesh_sites(const TriMesh& mesh, double longest_edge, const Progress& progress);
 
 }  // namespace sekitei

@@ -177,13 +177,12 @@ Film film_of(const World& world, const Params& params, std::uint64_t seed, const
     return trace(world, trace_params, seed, progress.slice(0.02, 0.95));
 }
 
-/// Values of one attribute of the points, checked.
+/// Values of one attribute of the points, checked; null where there are none.
 template <class T>
-const std::vector<T>& moss_attribute(const Points& moss, const char* name, const char* type)
+const std::vector<T>* moss_attribute_if(const Points& moss, const char* name, const char* type)
 {
     const auto found = moss.attributes.find(name);
-    if (found == moss.attributes.end())
-        throw InvalidInput(fmt::format("render: points of moss have no attribute {}", name));
+    if (found == moss.attributes.end()) return nullptr;
     const auto* values = std::get_if<std::vector<T>>(&found->second);
     if (!values)
         throw InvalidInput(
@@ -191,6 +190,15 @@ const std::vector<T>& moss_attribute(const Points& moss, const char* name, const
     if (values->size() != moss.position.size())
         throw InvalidInput(fmt::format("render: attribute {} of moss has {} values, must have {}",
                                        name, values->size(), moss.position.size()));
+    return values;
+}
+
+template <class T>
+const std::vector<T>& moss_attribute(const Points& moss, const char* name, const char* type)
+{
+    const auto* values = moss_attribute_if<T>(moss, name, type);
+    if (!values)
+        throw InvalidInput(fmt::format("render: points of moss have no attribute {}", name));
     return *values;
 }
 
@@ -277,9 +285,22 @@ std::vector<Tuft> tufts_of(const Points& moss)
     const auto& orient = moss_attribute<std::array<float, 4>>(moss, "orient", "four floats");
     const auto& scale = moss_attribute<float>(moss, "pscale", "float");
     const auto& species = moss_attribute<std::int32_t>(moss, "species", "int32");
+    const auto* growth = moss_attribute_if<float>(moss, "growth", "float");
+    const auto* wetness = moss_attribute_if<float>(moss, "wetness", "float");
+    const auto* age = moss_attribute_if<std::int32_t>(moss, "age", "int32");
+    const auto* id = moss_attribute_if<std::int64_t>(moss, "id", "int64");
     std::vector<Tuft> tufts(moss.position.size());
-    for (std::size_t i = 0; i < tufts.size(); ++i)
-        tufts[i] = {moss.position[i], orient[i], scale[i], species[i]};
+    for (std::size_t i = 0; i < tufts.size(); ++i) {
+        Tuft& t = tufts[i];
+        t.position = moss.position[i];
+        t.orient = orient[i];
+        t.scale = scale[i];
+        t.species = species[i];
+        t.growth = growth ? (*growth)[i] : std::min(2 * scale[i], t.growth);
+        if (wetness) t.wetness = (*wetness)[i];
+        if (age) t.age = (*age)[i];
+        if (id) t.id = (*id)[i];
+    }
     return tufts;
 }
 

@@ -96,6 +96,10 @@ struct Tuft {
     std::array<float, 4> orient{0, 0, 0, 1};  ///< x y z w; turns local +y along the plant
     float scale = 1;                          ///< of a full-grown plant; 0 is not drawn
     std::int32_t species = 1;                 ///< from 1, see Stuff::species
+    float growth = 1.9f;     ///< shoots stand denser up to 2; from 2 on the plant bears capsules
+    float wetness = 0.8f;    ///< 0 parched and pale .. 1 soaked, deep green and glossy
+    std::int32_t age = 180;  ///< [d]; the young are bright, the old brown at their foot
+    std::int64_t id = -1;    ///< tells plants apart from frame to frame; -1: the place in the list
 };
 
 /// A garden: meshes of several substances and what grows on them.
@@ -110,7 +114,8 @@ struct Stuff {
 };
 
 /// Plants of points with the attributes `orient` (four floats), `pscale` (float) and `species`
-/// (int32).
+/// (int32) and, where there are such, `growth` and `wetness` (float), `age` (int32, days) and `id`
+/// (int64). Without `growth` a plant is dense as its scale says, and never ripe.
 /// @throws InvalidInput  an attribute is missing, of another type or of another length
 std::vector<Tuft> tufts_of(const Points& moss);
 

@@ -201,6 +201,18 @@ bool spore_shed(const Rules& rules, double growth, double daily_growth)
     return growth >= rules.spore_threshold && daily_growth > 0;
 }
 
+DayOfLife live_a_day(const Species& species, const Rules& rules, double fitness, float& growth,
+                     float& growth_max)
+{
+    const double d = daily_growth(species, rules, fitness);
+    growth = static_cast<float>(grown(rules, double(growth), d));
+    const double now = double(growth), before = double(growth_max);
+    if (dies(species, now, d)) return {.died = true};
+    growth_max = std::max(growth_max, growth);
+    return {.gemmae = now > before ? gemmae_shed(rules, before, now) : 0,
+            .spore = spore_shed(rules, now, d)};
+}
+
 double seed_readiness(Seed kind, const Rules& r, int age)
 {
     return kind == Seed::Gemma

@@ -143,6 +143,16 @@ int gemmae_shed(const Rules& rules, double largest_before, double largest_now);
 /// Whether a spore is shed today.
 bool spore_shed(const Rules& rules, double growth, double daily_growth);
 
+/// What a day brings a moss.
+struct DayOfLife {
+    bool died = false;
+    int gemmae = 0;
+    bool spore = false;
+};
+/// Lets a moss grow for a day; changes its growth and the largest so far.
+DayOfLife live_a_day(const Species& species, const Rules& rules, double fitness, float& growth,
+                     float& growth_max);
+
 enum class Seed { Gemma, Spore };
 /// How ready a seed is at an age [days since release]: 0..1.
 double seed_readiness(Seed kind, const Rules& rules, int age);

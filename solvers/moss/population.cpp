@@ -3,56 +3,17 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <array>
 #include <cassert>
-#include <cmath>
-#include <tuple>
 
 #include "core/error.h"
-#include "core/math.h"
 #include "core/parallel.h"
-#include "core/random.h"
+#include "solvers/moss/flight.h"
 
 namespace sekitei::moss {
 namespace {
 
 constexpr std::size_t kChunk = 1024;    // sites a task
 constexpr std::size_t kFlights = 4096;  // seeds landed together
-constexpr std::uint8_t kGemma = 1, kSpore = 2;
-constexpr double kCone = 0.70710678118654752440;  // cosine of 45 degrees
-
-constexpr Stream kInitial{"moss.initial"}, kGemmaStream{"moss.gemma"}, kSporeStream{"moss.spore"},
-    kArrival{"moss.arrival"};
-
-/// Draws of one individual for one purpose.
-struct Draws {
-    std::uint64_t key;
-    Draws(std::uint64_t seed, Stream stream, std::uint64_t id)
-        : key(hash2(hash2(seed, stream.id), id))
-    {
-    }
-    double operator()(std::uint64_t counter) const { return uniform_of_key(key, counter); }
-};
-std::uint64_t counter_of(std::int32_t day, std::uint64_t draw)
-{
-    return (static_cast<std::uint64_t>(day) << 32) | draw;
-}
-
-/// The unit vector at a cosine from z and an azimuth u 2 pi.
-Vec3d direction(double cosine, double u)
-{
-    const double sine = std::sqrt(std::max(0.0, 1 - cosine * cosine)), phi = 2 * math::kPi * u;
-    return {sine * math::cos(phi), sine * math::sin(phi), cosine};
-}
-
-/// Turns v from a frame about z to one about the unit vector n [Duff2017].
-Vec3d about(Vec3d n, Vec3d v)
-{
-    const double sign = std::copysign(1.0, n.z), a = -1 / (sign + n.z), b = n.x * n.y * a;
-    const Vec3d s{1 + sign * n.x * n.x * a, sign * b, -sign * n.x};
-    const Vec3d t{b, sign + n.y * n.y * a, -n.y};
-    return s * v.x + t * v.y + n * v.z;
-}
 
 void check(const Surface& surface)
 {
@@ -79,26 +40,8 @@ void check_species(const Community& community)
             fmt::format("moss: {} species, must be 1 to 255", community.species.size()));
 }
 
-/// Sites drawn by area.
-class ByArea {
-public:
-    explicit ByArea(const Surface& surface) : up_to_(surface.size())
-    {
-        double sum = 0;
-        for (std::size_t i = 0; i < surface.size(); ++i) up_to_[i] = sum += double(surface.area[i]);
-    }
-    std::size_t operator()(double u) const
-    {
-        const auto at = std::ranges::upper_bound(up_to_, u * up_to_.back());
-        return std::min(static_cast<std::size_t>(at - up_to_.begin()), up_to_.size() - 1);
-    }
-
-private:
-    std::vector<double> up_to_;
-};
-
-/// A moss that releases seeds today.
-struct Parent {
+/// A site whose moss releases seeds today.
+struct Release {
     std::uint32_t site;
     std::uint16_t gemmae;
     bool spore;
@@ -109,33 +52,18 @@ struct Candidate {
     std::uint64_t parent;
     std::uint32_t site, number;
     std::uint8_t kind, species;
-
-    /// The order in which ids are given, lower first.
-    friend bool operator<(const Candidate& a, const Candidate& b)
-    {
-        return std::tie(a.kind, a.parent, a.number) < std::tie(b.kind, b.parent, b.number);
-    }
 };
-constexpr std::uint8_t kArrived = 3;  // Candidate::kind of a spore from outside
 
 /// What a task found out.
 struct Found {
     std::vector<SpeciesDay> species;
-    std::vector<Parent> parents;
+    std::vector<Release> releases;
     std::vector<Candidate> candidates;
 };
 
 void add(std::vector<SpeciesDay>& to, const std::vector<SpeciesDay>& from)
 {
-    for (std::size_t k = 0; k < to.size(); ++k) {
-        SpeciesDay& a = to[k];
-        const SpeciesDay& b = from[k];
-        a.living += b.living, a.seeds += b.seeds;
-        a.germinated += b.germinated, a.died += b.died, a.displaced += b.displaced;
-        a.gemmae += b.gemmae, a.spores += b.spores, a.settled += b.settled;
-        a.expired += b.expired, a.replaced += b.replaced;
-        a.area += b.area;
-    }
+    for (std::size_t k = 0; k < to.size(); ++k) add(to[k], from[k]);
 }
 
 /// Steps of one day; the order is that of day().
@@ -151,11 +79,9 @@ public:
           throw_(gemma_throw(community.propagation, surface.spacing)),
           adhesion_(adhesion(community.propagation, surface.spacing)),
           today_(population.day + 1),
+          germination_(community),
           found_((surface.size() + kChunk - 1) / kChunk)
     {
-        for (const Species& s : community.species)
-            last_age_.push_back({0, last_germination_age(s, Seed::Gemma, community.rules),
-                                 last_germination_age(s, Seed::Spore, community.rules)});
         for (Found& f : found_) f.species.resize(community.species.size());
     }
 
@@ -187,21 +113,16 @@ private:
         if (p_.seed_kind[i]) germinate(f, i);
         if (!p_.species[i]) return;
         const std::size_t k = p_.species[i] - 1u;
-        const Species& s = c_.species[k];
-        const double d = daily_growth(s, c_.rules, double(conditions_.fitness[k][i]));
-        p_.growth[i] = static_cast<float>(grown(c_.rules, double(p_.growth[i]), d));
-        const double growth = double(p_.growth[i]), before = double(p_.growth_max[i]);
-        if (dies(s, growth, d)) {
+        const DayOfLife today =
+            live_a_day(c_.species[k], c_.rules, double(conditions_.fitness[k][i]), p_.growth[i],
+                       p_.growth_max[i]);
+        if (today.died) {
             ++f.species[k].died;
             clear_moss(i);
-            return;
-        }
-        const int gemmae = growth > before ? gemmae_shed(c_.rules, before, growth) : 0;
-        const bool spore = spore_shed(c_.rules, growth, d);
-        p_.growth_max[i] = std::max(p_.growth_max[i], p_.growth[i]);
-        if (gemmae || spore)
-            f.parents.push_back({static_cast<std::uint32_t>(i),
-                                 static_cast<std::uint16_t>(std::min(gemmae, 65535)), spore});
+        } else if (today.gemmae || today.spore)
+            f.releases.push_back({static_cast<std::uint32_t>(i),
+                                  static_cast<std::uint16_t>(std::min(today.gemmae, 65535)),
+                                  today.spore});
     }
 
     void germinate(Found& f, std::size_t i)
@@ -209,7 +130,7 @@ private:
         const std::size_t k = p_.seed_species[i] - 1u;
         const Species& s = c_.species[k];
         const int age = today_ - p_.seed_born[i];
-        if (age > last_age_[k][p_.seed_kind[i]]) {
+        if (germination_.expired(k, p_.seed_kind[i], age)) {
             ++f.species[k].expired;
             clear_seed(i);
             return;
@@ -217,10 +138,8 @@ private:
         if (const std::size_t resident = p_.species[i];
             resident && s.priority <= c_.species[resident - 1].priority + double(p_.growth[i]))
             return;
-        const Seed kind = p_.seed_kind[i] == kGemma ? Seed::Gemma : Seed::Spore;
-        const double g = double(conditions_.fitness[k][i]);
-        // Readiness is at most 1: most seeds in bad places are done with here.
-        if (g <= s.germination_threshold || !germinates(s, kind, c_.rules, age, g)) return;
+        if (!germination_.sprouts(k, p_.seed_kind[i], age, double(conditions_.fitness[k][i])))
+            return;
         if (p_.species[i]) ++f.species[p_.species[i] - 1u].displaced;
         ++f.species[k].germinated;
         p_.species[i] = p_.seed_species[i];
@@ -261,50 +180,25 @@ private:
             flights.clear();
             seeds.clear();
         };
-        for (const Parent& parent : f.parents) {
-            const std::size_t i = parent.site;
+        for (const Release& release : f.releases) {
+            const std::size_t i = release.site;
+            const Parent parent{p_.id[i], today_, surface_.foot(i), Vec3d(surface_.normal[i])};
             SpeciesDay& s = f.species[p_.species[i] - 1u];
-            s.gemmae += parent.gemmae;
-            s.spores += parent.spore;
-            for (std::uint32_t n = 0; n < parent.gemmae; ++n) {
-                flights.push_back(gemma(i, n));
+            s.gemmae += release.gemmae;
+            s.spores += release.spore;
+            for (std::uint32_t n = 0; n < release.gemmae; ++n) {
+                flights.push_back(throw_gemma(c_, parent, throw_, n));
                 seeds.push_back({p_.id[i], 0, n, kGemma, p_.species[i]});
                 if (flights.size() == kFlights) flush();
             }
-            if (parent.spore) {
-                flights.push_back(spore(i));
+            if (release.spore) {
+                const double wind = conditions_.wind.empty() ? 0 : double(conditions_.wind[i]);
+                flights.push_back(throw_spore(c_, parent, 0, wind, conditions_.downwind));
                 seeds.push_back({p_.id[i], 0, 0, kSpore, p_.species[i]});
                 if (flights.size() == kFlights) flush();
             }
         }
         flush();
-    }
-
-    /// B = M + k I, I uniform on the sphere [Nomura2010, eq. 3.22].
-    Flight gemma(std::size_t i, std::uint64_t number) const
-    {
-        const Draws draw(c_.seed, kGemmaStream, p_.id[i]);
-        return {surface_.foot(i) + direction(1 - 2 * draw(counter_of(today_, 2 * number)),
-                                             draw(counter_of(today_, 2 * number + 1))) *
-                                       throw_};
-    }
-
-    /// Q = M + l I_N, I_N uniform in solid angle in the cone about the normal [Nomura2010, eq.
-    /// 3.23].
-    Flight spore(std::size_t i) const
-    {
-        const Propagation& p = c_.propagation;
-        const Draws draw(c_.seed, kSporeStream, p_.id[i]);
-        const Vec3d v =
-            direction(1 - (1 - kCone) * draw(counter_of(today_, 0)), draw(counter_of(today_, 1)));
-        Vec3d n(surface_.normal[i]);
-        if (p.spore_cone == SporeCone::Both && draw(counter_of(today_, 2)) < 0.5) n = -n;
-        Flight f{surface_.foot(i) + about(n, v) * p.spore_throw};
-        if (p.spore_wind && !conditions_.wind.empty()) {
-            const double slope = double(conditions_.wind[i]) / p.settling_speed;
-            f.fall = {conditions_.downwind.x * slope, conditions_.downwind.y * slope, -1};
-        }
-        return f;
     }
 
     double priority(std::uint8_t species) const { return c_.species[species - 1u].priority; }
@@ -326,7 +220,7 @@ private:
         std::vector<std::uint32_t> best(p_.size(), kNone);
         auto better = [&](const Candidate& a, const Candidate& b) {
             const double pa = priority(a.species), pb = priority(b.species);
-            return pa != pb ? pa > pb : a < b;
+            return pa != pb ? pa > pb : earlier(a, b);
         };
         for (std::uint32_t j = 0; j < seeds.size(); ++j) {
             std::uint32_t& b = best[seeds[j].site];
@@ -335,7 +229,7 @@ private:
         std::vector<Candidate> winners;
         for (std::uint32_t j = 0; j < seeds.size(); ++j)
             if (best[seeds[j].site] == j) winners.push_back(seeds[j]);
-        std::ranges::sort(winners, std::less<>{});
+        std::ranges::sort(winners, earlier<Candidate>);
         for (const Candidate& seed : winners) {
             const std::size_t i = seed.site;
             if (p_.seed_species[i]) ++found_[0].species[p_.seed_species[i] - 1u].replaced;
@@ -354,7 +248,7 @@ private:
         if (interval <= 0 || today_ % interval != 0 || p_.size() == 0) return;
         const auto number = static_cast<std::uint32_t>(p_.arrivals);
         const std::size_t site =
-            ByArea(surface_)(Draws(c_.seed, kArrival, p_.arrivals)(counter_of(today_, 0)));
+            ByArea(surface_.area)(Draws(c_.seed, kArrival, p_.arrivals)(counter_of(today_, 0)));
         const Candidate seed{0, static_cast<std::uint32_t>(site), number, kArrived,
                              static_cast<std::uint8_t>(1 + p_.arrivals % c_.species.size())};
         ++p_.arrivals;
@@ -368,8 +262,8 @@ private:
     const Conditions& conditions_;
     const double throw_, adhesion_;
     const std::int32_t today_;
-    std::vector<std::array<int, 3>> last_age_;  // of each species and kind
-    std::vector<Found> found_;                  // one a chunk
+    const Germination germination_;
+    std::vector<Found> found_;  // one a chunk
 };
 
 /// What later steps index with.
@@ -495,7 +389,7 @@ Population first_settlers(const Community& community, const Surface& surface)
     check(surface);
     Population p(surface.size());
     if (p.size() == 0) return p;
-    const ByArea by_area(surface);
+    const ByArea by_area(surface.area);
     const auto count = static_cast<std::uint64_t>(community.propagation.initial_count);
     std::size_t free = p.size();
     for (std::size_t k = 0; k < community.species.size(); ++k)

@@ -2,7 +2,6 @@
 
 #include <cstdint>
 #include <limits>
-#include <map>
 #include <optional>
 #include <span>
 #include <string>
@@ -13,6 +12,7 @@
 #include "core/progress.h"
 #include "core/vec.h"
 #include "grids/scene.h"
+#include "solvers/moss/checkpoint.h"
 #include "solvers/moss/growth.h"
 
 /// Mosses that live on the sites of a surface: who stands where, day by day [Nomura2010, section
@@ -154,11 +154,20 @@ struct SpeciesDay {
     std::int64_t expired = 0, replaced = 0;  ///< resting seeds that grew too old, or gave way
     double area = 0;                         ///< of the sites it covers [m^2]
 
+    // Of individuals on meshes only. settled = gemmae + spores + arrived - back_face - no_hit -
+    // too_high - collided.
+    std::int64_t arrived = 0;                ///< spores from outside
+    std::int64_t back_face = 0, no_hit = 0;  ///< lost on the back of a face, or on nothing
+    std::int64_t too_high = 0;               ///< lost on mosses that stand on mosses
+    std::int64_t collided = 0;               ///< lost to another that was too close
+    std::int64_t dropped = 0;                ///< resting seeds beyond four times the cap
+    std::int64_t refused = 0;                ///< could have germinated, but for the cap
+
     friend bool operator==(const SpeciesDay&, const SpeciesDay&) = default;
 };
 
 /// Conserved, for each species: living = living yesterday + germinated - died - displaced, and
-/// seeds = seeds yesterday + settled - germinated - expired - replaced.
+/// seeds = seeds yesterday + settled - germinated - expired - replaced - dropped.
 struct DayStatistics {
     std::int32_t day = 0;
     std::vector<SpeciesDay> species;
@@ -233,19 +242,7 @@ Points to_points(const Population& population, const Community& community, const
 Population from_points(const Points& points, const Community& community, const Surface& surface,
                        std::int32_t day);
 
-/// What a run needs to go on after an interruption.
-struct Checkpoint {
-    std::uint64_t seed = 0;
-    /// Parameters and inputs it belongs to: text of any kind, best a JSON object of values and
-    /// hashes, whose members a refusal names.
-    std::string recipe;
-    Population population;
-    /// What other solvers carry from day to day, by name: soil water.
-    std::map<std::string, std::vector<double>> fields;
-
-    friend bool operator==(const Checkpoint&, const Checkpoint&) = default;
-};
-
+using Checkpoint = CheckpointOf<Population>;
 /// A header (magic, version, seed, recipe, day), the arrays, and a checksum over all of it.
 std::string encode(const Checkpoint& checkpoint);
 /// @param where  for messages

@@ -2,13 +2,11 @@
 
 #include <array>
 #include <cmath>
-#include <cstring>
 
 #include "core/error.h"
-#include "core/hash.h"
-#include "core/math.h"
 #include "core/parallel.h"
-#include "core/random.h"
+#include "solvers/moss/checkpoint_codec.h"
+#include "solvers/moss/flight.h"
 #include "solvers/moss/population.h"
 
 // What leaves a population and comes back: values for grids, points, checkpoints.
@@ -31,21 +29,6 @@ std::vector<std::int32_t> ages(std::int32_t day, const std::vector<std::uint8_t>
     std::vector<std::int32_t> result(occupied.size());
     for (std::size_t i = 0; i < result.size(); ++i) result[i] = occupied[i] ? day - born[i] : 0;
     return result;
-}
-
-/// The rotation that turns +y to the unit vector `axis`, after a turn by `yaw` about +y.
-std::array<float, 4> orientation(Vec3d axis, double yaw)
-{
-    // The half-way rotation between two unit vectors is (1 + y . axis, y x axis), scaled.
-    double x = axis.z, z = -axis.x, w = 1 + axis.y;
-    const double size = std::sqrt(x * x + z * z + w * w);
-    if (size > 1e-6)
-        x /= size, z /= size, w /= size;
-    else
-        x = 1, z = w = 0;  // straight down: half a turn about x
-    const double s = math::sin(yaw / 2), c = math::cos(yaw / 2);
-    return {static_cast<float>(x * c - z * s), static_cast<float>(w * s),
-            static_cast<float>(z * c + x * s), static_cast<float>(w * c)};
 }
 
 /// The zero of the level set on the line through p along n, within 2.5 voxels, else `otherwise`.
@@ -95,88 +78,18 @@ const std::vector<T>& attribute(const Points& points, const char* name, const ch
     throw InvalidInput(fmt::format("moss points: {} must be {}", name, type));
 }
 
-constexpr char kMagic[8] = {'S', 'E', 'K', 'I', 'M', 'O', 'S', 'S'};
-constexpr std::uint32_t kVersion = 1;
-constexpr std::size_t kDigest = 32;  // hexadecimal digits at the end
+constexpr CheckpointKind kSites{"SEKIMOSS", 1, "a checkpoint of moss"};
 
-class Writer {
-public:
-    template <class T>
-    void value(const T& v)
-    {
-        bytes.append(reinterpret_cast<const char*>(&v), sizeof v);
-    }
-    void text(std::string_view t)
-    {
-        value(std::uint64_t(t.size()));
-        bytes.append(t);
-    }
-    template <class T>
-    void array(const std::vector<T>& v)
-    {
-        value(std::uint64_t(v.size()));
-        if (!v.empty()) bytes.append(reinterpret_cast<const char*>(v.data()), v.size() * sizeof(T));
-    }
-    std::string bytes;
-};
-
-class Reader {
-public:
-    Reader(std::string_view bytes, std::string where) : bytes_(bytes), where_(std::move(where)) {}
-    template <class T>
-    T value()
-    {
-        T v;
-        take(&v, sizeof v);
-        return v;
-    }
-    std::string text()
-    {
-        std::string t(length(1), '\0');
-        take(t.data(), t.size());
-        return t;
-    }
-    template <class T>
-    std::vector<T> array()
-    {
-        std::vector<T> v(length(sizeof(T)));
-        take(v.data(), v.size() * sizeof(T));
-        return v;
-    }
-    bool at_end() const { return bytes_.empty(); }
-    [[noreturn]] void damaged(const std::string& what) const
-    {
-        throw InvalidInput(
-            fmt::format("{}: damaged checkpoint: {}; start without it", where_, what));
-    }
-
-private:
-    std::size_t length(std::size_t size)
-    {
-        const auto n = value<std::uint64_t>();
-        if (n > bytes_.size() / size) damaged("it ends too early");
-        return static_cast<std::size_t>(n);
-    }
-    void take(void* to, std::size_t size)
-    {
-        if (size > bytes_.size()) damaged("it ends too early");
-        if (size) std::memcpy(to, bytes_.data(), size);
-        bytes_.remove_prefix(size);
-    }
-    std::string_view bytes_;
-    std::string where_;
-};
+}  // namespace
 
 /// Visits every array of a population, in the order of the file.
 template <class P, class F>
-void each_array(P& p, F&& f)
+static void each_array(P& p, F&& f)
 {
     f(p.species), f(p.growth), f(p.growth_max), f(p.born), f(p.id);
     f(p.seed_kind), f(p.seed_species), f(p.seed_born), f(p.seed_id);
     f(p.cover);
 }
-
-}  // namespace
 
 std::vector<std::int32_t> moss_species(const Population& p)
 {
@@ -307,9 +220,6 @@ Population from_points(const Points& points, const Community& community, const S
     return p;
 }
 
-namespace {
-
-/// What differs between two recipes: the members, where both are JSON objects.
 std::string difference(const std::string& before, std::string_view now)
 {
     const Json a = Json::parse(before, nullptr, false), b = Json::parse(now, nullptr, false);
@@ -335,70 +245,24 @@ std::string difference(const std::string& before, std::string_view now)
     return text;
 }
 
-}  // namespace
-
 std::string encode(const Checkpoint& c)
 {
-    Writer w;
-    w.bytes.append(kMagic, sizeof kMagic);
-    w.value(kVersion);
-    w.value(c.seed);
-    w.text(c.recipe);
-    w.value(c.population.day);
-    w.value(c.population.next_id);
-    w.value(c.population.arrivals);
-    each_array(c.population, [&](const auto& v) { w.array(v); });
-    w.value(std::uint64_t(c.fields.size()));
-    for (const auto& [name, values] : c.fields) {
-        w.text(name);
-        w.array(values);
-    }
-    w.bytes += hash_hex(w.bytes);
-    return std::move(w.bytes);
+    return encode(kSites, c);
 }
 
 Checkpoint decode(std::string_view bytes, const std::string& where, std::uint64_t seed,
                   std::string_view recipe, std::size_t sites)
 {
-    if (!bytes.starts_with(std::string_view(kMagic, sizeof kMagic)))
-        throw InvalidInput(fmt::format("{}: not a checkpoint of moss", where));
-    Reader r(bytes.substr(sizeof kMagic), where);
-    if (const auto version = r.value<std::uint32_t>(); version != kVersion)
-        throw InvalidInput(fmt::format(
-            "{}: checkpoint of version {}, this program reads version {}; start without it", where,
-            version, kVersion));
-    if (bytes.size() < kDigest) r.damaged("it ends too early");
-    const std::string_view body = bytes.substr(0, bytes.size() - kDigest);
-    if (hash_hex(body) != bytes.substr(body.size())) r.damaged("its checksum does not match");
-
-    r = Reader(body.substr(sizeof kMagic + sizeof kVersion), where);
-    Checkpoint c;
-    c.seed = r.value<std::uint64_t>();
-    c.recipe = r.text();
-    std::string differs;
-    if (c.seed != seed) differs += fmt::format("; seed {}, this run has {}", c.seed, seed);
-    if (c.recipe != recipe) differs += difference(c.recipe, recipe);
-    Population& p = c.population;
-    p.day = r.value<std::int32_t>();
-    p.next_id = r.value<std::uint64_t>();
-    p.arrivals = r.value<std::uint64_t>();
-    each_array(p, [&](auto& v) {
-        v = r.template array<typename std::decay_t<decltype(v)>::value_type>();
-    });
-    if (p.size() != sites) differs += fmt::format("; {} sites, this run has {}", p.size(), sites);
-    if (!differs.empty())
-        throw InvalidInput(fmt::format("{}: checkpoint of another run: {}; start without it", where,
-                                       differs.substr(2)));
-    each_array(p, [&](const auto& v) {
-        if (v.size() != sites) r.damaged("arrays of different lengths");
-    });
-    const auto fields = r.value<std::uint64_t>();
-    for (std::uint64_t k = 0; k < fields; ++k) {
-        std::string name = r.text();
-        c.fields[std::move(name)] = r.array<double>();
-    }
-    if (!r.at_end()) r.damaged("something follows its end");
-    return c;
+    auto differs = [&](const Population& p) {
+        return p.size() == sites ? std::string()
+                                 : fmt::format("; {} sites, this run has {}", p.size(), sites);
+    };
+    auto damage = [&](Population& p) {
+        bool good = true;
+        each_array(p, [&](const auto& v) { good = good && v.size() == sites; });
+        return good ? "" : "arrays of different lengths";
+    };
+    return decode<Population>(kSites, bytes, where, seed, recipe, differs, damage);
 }
 
 }  // namespace sekitei::moss

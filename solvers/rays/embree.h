@@ -43,20 +43,67 @@ inline RTCRay ray_of(Vec3f origin, Vec3f direction, float near, float far)
     return ray;
 }
 
+/// What Embree hands on from a question to the functions of user geometry; derive from it to have
+/// them write answers.
+#if RTC_VERSION_MAJOR >= 4
+struct QueryContext : RTCRayQueryContext {
+    QueryContext() { rtcInitRayQueryContext(this); }
+};
+#else
+struct QueryContext : RTCIntersectContext {
+    QueryContext() { rtcInitIntersectContext(this); }
+};
+#endif
+
 /// What the ray meets first; false where that is nothing.
-inline bool first_hit(RTCScene scene, const RTCRay& ray, RTCRayHit& query)
+inline bool first_hit(RTCScene scene, const RTCRay& ray, RTCRayHit& query, QueryContext& context)
 {
     query.ray = ray;
     query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
     query.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
 #if RTC_VERSION_MAJOR >= 4
-    rtcIntersect1(scene, &query, nullptr);
+    RTCIntersectArguments arguments;
+    rtcInitIntersectArguments(&arguments);
+    arguments.context = &context;
+    rtcIntersect1(scene, &query, &arguments);
 #else
-    RTCIntersectContext context;
-    rtcInitIntersectContext(&context);
     rtcIntersect1(scene, &context, &query);
 #endif
     return query.hit.geomID != RTC_INVALID_GEOMETRY_ID;
+}
+inline bool first_hit(RTCScene scene, const RTCRay& ray, RTCRayHit& query)
+{
+    QueryContext context;
+    return first_hit(scene, ray, query, context);
+}
+
+/// Calls f(primitive) for whatever may lie within `radius` of a place, and for some that lie a
+/// little farther; f returns the radius that still matters, which only shrinks.
+template <class F>
+void near(RTCScene scene, Vec3d at, double radius, F&& f)
+{
+    struct Call {
+        F& f;
+        double slack;  // what rounding to float may move a place
+    } call{f, 1e-6 * std::max({std::abs(at.x), std::abs(at.y), std::abs(at.z)})};
+    RTCPointQuery query;
+    query.x = static_cast<float>(at.x);
+    query.y = static_cast<float>(at.y);
+    query.z = static_cast<float>(at.z);
+    query.time = 0;
+    query.radius = static_cast<float>(radius * (1 + 1e-5) + call.slack);
+    RTCPointQueryContext context;
+    rtcInitPointQueryContext(&context);
+    rtcPointQuery(
+        scene, &query, &context,
+        [](RTCPointQueryFunctionArguments* args) {
+            const Call& c = *static_cast<const Call*>(args->userPtr);
+            const auto left = static_cast<float>(c.f(args->primID) * (1 + 1e-5) + c.slack);
+            if (!(left < args->query->radius)) return false;
+            args->query->radius = left;
+            return true;
+        },
+        &call);
 }
 
 /// Whether the ray meets anything.
@@ -93,7 +140,8 @@ public:
     ///                       would drop its triangles without a word), an index out of range
     /// @throws Cancelled  from `progress`, which need not live on
     TriangleScene(const std::vector<Vec3f>& vertices, const std::vector<Triangle>& triangles,
-                  const std::string& who, const Progress& progress = {})
+                  const std::string& who, const Progress& progress = {},
+                  RTCBuildQuality quality = RTC_BUILD_QUALITY_MEDIUM)
         : vertices_(vertices), triangles_(triangles)
     {
         if (triangles.empty()) throw InvalidInput(who + ": the mesh has no triangles");
@@ -117,7 +165,7 @@ public:
             scene_,
             [](void* wish, double) { return !static_cast<const Progress*>(wish)->cancelled(); },
             const_cast<Progress*>(&progress));
-        rtcSetSceneBuildQuality(scene_, RTC_BUILD_QUALITY_MEDIUM);
+        rtcSetSceneBuildQuality(scene_, quality);
         rtcSetSceneFlags(scene_, RTC_SCENE_FLAG_ROBUST);
         RTCGeometry geometry = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE);
         void* points = rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0,
@@ -163,6 +211,13 @@ public:
     bool occluded(Vec3f origin, Vec3f direction, float near, float far) const
     {
         return any_hit(scene_, ray_of(origin, direction, near, far));
+    }
+
+    /// rays::near() of the triangles.
+    template <class F>
+    void near(Vec3d at, double radius, F&& f) const
+    {
+        rays::near(scene_, at, radius, f);
     }
 
     /// Memory that Embree holds now.

@@ -535,6 +535,137 @@ TEST(MeshIo, ObjDialectsAreRead)
     EXPECT_EQ(inspect(decode_mesh("f 1 2 3\nv 0 0 0\nv 1 0 0\nv 0 1 0", "a.obj")).triangles, 1u);
 }
 
+/// Texture coordinates of a triangle by position: which corner has which.
+std::map<Vec3f, std::pair<float, float>> texture_of(const TriMesh& mesh, std::size_t t)
+{
+    std::map<Vec3f, std::pair<float, float>> found;
+    for (std::size_t k = 0; k < 3; ++k) {
+        const Vec3f uv =
+            std::get<std::vector<Vec3f>>(mesh.face_attributes.at("uv_" + std::to_string(k)))[t];
+        EXPECT_EQ(uv.z, 0);
+        found[mesh.vertices[mesh.triangles[t][k]]] = {uv.x, uv.y};
+    }
+    return found;
+}
+
+/// A tetrahedron whose every corner has coordinates of its own: each edge is a seam.
+TriMesh seams()
+{
+    TriMesh mesh = tetrahedron();
+    for (int k = 0; k < 3; ++k) {
+        std::vector<Vec3f> uv;
+        for (int t = 0; t < 4; ++t) uv.emplace_back(0.1f * float(t), 0.3f * float(k) - 1, 0.0f);
+        mesh.face_attributes["uv_" + std::to_string(k)] = uv;
+    }
+    return mesh;
+}
+
+TEST(MeshIo, TextureCoordinatesComeBackWithTheirCorners)
+{
+    TriMesh mesh = seams();
+    mesh.face_attributes["part"] = std::vector<std::int32_t>{4, 5, 6, 7};
+    for (const bool normals : {false, true}) {
+        if (normals) mesh.vertex_attributes["normal"] = std::vector<Vec3f>(4, Vec3f(0, 0, 1));
+        for (const char* extension : {".ply", ".obj"}) {
+            MeshReadReport report;
+            const TriMesh again =
+                decode_mesh(encode_mesh(mesh, extension), std::string("a") + extension, &report);
+            EXPECT_EQ(again.vertices.size(), 4u);  // seams do not tear the mesh
+            ASSERT_EQ(again.triangles.size(), 4u);
+            for (std::size_t t = 0; t < 4; ++t)
+                EXPECT_EQ(texture_of(again, t), texture_of(mesh, t)) << extension;
+            EXPECT_THAT(report.warnings, IsEmpty());
+        }
+    }
+    EXPECT_THAT(encode_mesh(mesh, ".ply"), HasSubstr("property list uchar float texcoord"));
+    // Equal pairs are written once.
+    const std::string text = encode_mesh(mesh, ".obj");
+    std::size_t lines = 0;
+    for (std::size_t at = 0; (at = text.find("\nvt ", at)) != std::string::npos; ++at) ++lines;
+    EXPECT_EQ(lines, 12u);
+    mesh.face_attributes["uv_0"] = mesh.face_attributes["uv_1"] = mesh.face_attributes["uv_2"];
+    const std::string fewer = encode_mesh(mesh, ".obj");
+    EXPECT_EQ(fewer.find("vt -"), std::string::npos);
+    EXPECT_THAT(fewer, HasSubstr("/4/"));
+    EXPECT_THAT(fewer, Not(HasSubstr("/5/")));
+}
+
+TEST(MeshIo, TextureCoordinatesFollowTheirCornersThroughMending)
+{
+    // A quad beside two triangles, one of them turned; a triangle without area between.
+    const std::string text =
+        "vt 0 0\nvt 1 0 9\nvt 1 1\nvt 0.25\n"
+        "v 0 0 0\nv 2 0 0\nv 2 2 0\nv 0 2 0\nv 4 0 0\nv 4 2 0\n"
+        "f 1/1 2/2 3/3 4/-1\nf 2/1 2/2 3/3\nf 2/2 3/3 5/4\nf 5/1 6/2/7 3/3\n";
+    const TriMesh mesh = decode_mesh(text, "a.obj");
+    ASSERT_EQ(mesh.triangles.size(), 4u);
+    EXPECT_EQ(inspect(mesh).misoriented_edges, 0u);
+    using Corners = std::map<Vec3f, std::pair<float, float>>;
+    Corners quad = texture_of(mesh, 0);
+    quad.merge(texture_of(mesh, 1));
+    EXPECT_EQ(quad, (Corners{{{0, 0, 0}, {0, 0}},
+                             {{2, 0, 0}, {1, 0}},
+                             {{2, 2, 0}, {1, 1}},
+                             {{0, 2, 0}, {0.25f, 0}}}));
+    EXPECT_EQ(texture_of(mesh, 2),
+              (Corners{{{2, 0, 0}, {1, 0}}, {{2, 2, 0}, {1, 1}}, {{4, 0, 0}, {0.25f, 0}}}));
+    EXPECT_EQ(texture_of(mesh, 3),
+              (Corners{{{4, 0, 0}, {0, 0}}, {{4, 2, 0}, {1, 0}}, {{2, 2, 0}, {1, 1}}}));
+}
+
+TEST(MeshIo, TextureCoordinatesOfVerticesAreHandedToTheCorners)
+{
+    for (const auto& [u, v] :
+         {std::pair("s", "t"), std::pair("u", "v"), std::pair("texture_u", "texture_v")}) {
+        const std::string text =
+            "ply\nformat ascii 1.0\nelement vertex 6\nproperty float x\nproperty float y\n"
+            "property float z\nproperty float " +
+            std::string(u) + "\nproperty double " + v +
+            "\nproperty float age\nelement face 2\nproperty list uchar int vertex_indices\n"
+            "end_header\n0 0 0 0 0 1\n1 0 0 1 0 1\n0 1 0 0 1 1\n1 0 0 0.5 0 1\n"
+            "1 1 0 1 0.5 1\n0 1 0 0 0.25 2\n3 0 1 2\n3 3 4 5\n";
+        const TriMesh mesh = decode_mesh(text, "a.ply");
+        EXPECT_EQ(mesh.vertices.size(), 5u);  // the seam at (1,0,0) is closed, age keeps (0,1,0)
+        EXPECT_EQ(mesh.vertex_attributes.size(), 1u);
+        EXPECT_EQ(texture_of(mesh, 1).at({1, 0, 0}), std::pair(0.5f, 0.0f));
+        EXPECT_EQ(texture_of(mesh, 0).at({1, 0, 0}), std::pair(1.0f, 0.0f));
+        EXPECT_EQ(texture_of(mesh, 1).at({0, 1, 0}), std::pair(0.0f, 0.25f));
+    }
+}
+
+TEST(MeshIo, MissingTextureCoordinatesAreTold)
+{
+    MeshReadReport report;
+    const TriMesh mesh = decode_mesh(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt 0.5 0.5\n"
+        "f 1 2 3\nf 2/1 4/1 3//2\n",
+        "a.obj", &report);
+    EXPECT_EQ(texture_of(mesh, 0).at({1, 0, 0}), std::pair(0.0f, 0.0f));
+    EXPECT_EQ(texture_of(mesh, 1).at({1, 0, 0}), std::pair(0.5f, 0.5f));
+    EXPECT_THAT(report.warnings, ElementsAre(HasSubstr("4 of 6 corners have no texture")));
+    // Indices of normals alone are none.
+    EXPECT_TRUE(decode_mesh("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1//1 2//1 3/\n", "a.obj")
+                    .face_attributes.empty());
+}
+
+TEST(MeshIo, BadTextureCoordinatesAreNamedWithTheirLine)
+{
+    const std::string begin = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 1\n";
+    for (const auto& [text, message] :
+         {std::pair("f 1/1 2/2 3/3\nf 1/1 2/2 3/1\n",
+                    "a.obj:6: texture index 3, but the file has 2 lines 'vt'"),
+          std::pair("f 1/1 2/0 3/1\n", "a.obj:6: texture index 0, must be from 1"),
+          std::pair("f 1/1 2/-3 3/1\n", "a.obj:6: texture index -3, must be from 1, or from -2"),
+          std::pair("f 1/1 2/x/3 3/1\n", "a.obj:6: '2/x/3', must be a texture index"),
+          std::pair("f 1/1 2/99999999999 3/1\n", "a.obj:6: texture index 99999999999"),
+          std::pair("vt 0 up\nf 1 2 3\n", "a.obj:6: 'up', must be a number"),
+          std::pair("vt\nf 1 2 3\n", "a.obj:6: '', must be a number")})
+        EXPECT_THAT([&] { decode_mesh(begin + text, "a.obj"); },
+                    ThrowsMessage<InvalidInput>(HasSubstr(message)));
+    // Coordinates may come behind the faces that name them.
+    EXPECT_EQ(decode_mesh(begin + "f 1/1 2/2 3/3\nvt 5 6\n", "a.obj").triangles.size(), 1u);
+}
+
 TEST(MeshIo, ALineOfTenMegabytesIsRead)
 {
     EXPECT_EQ(surface(decode_mesh("# " + std::string(10'000'000, 'x') + "\n" + kObj, "a.obj")),
@@ -748,6 +879,8 @@ TEST(MeshIo, NoMutationDoesWorseThanInvalidInput)
     const std::pair<std::string, std::string> seeds[] = {{kPlyText, "a.ply"},
                                                          {encode_mesh(mesh, ".ply"), "a.ply"},
                                                          {encode_mesh(mesh, ".obj"), "a.obj"},
+                                                         {encode_mesh(seams(), ".ply"), "a.ply"},
+                                                         {encode_mesh(seams(), ".obj"), "a.obj"},
                                                          {kOff, "a.off"},
                                                          {stl_text(), "a.stl"},
                                                          {encode_mesh(mesh, ".stl"), "a.stl"}};

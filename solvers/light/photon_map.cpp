@@ -1,0 +1,450 @@
+#include "solvers/light/photon_map.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/error.h"
+#include "core/parallel.h"
+#include "core/random.h"
+#include "solvers/light/lobes.h"
+
+namespace sekitei::light {
+namespace {
+
+constexpr Stream kGather{"photons.gather"};
+constexpr float kSameSide = 0.5f;                             // least cosine between normals
+constexpr float kNearestLeast = 0.02f, kNearestMost = 0.20f;  // radii by photon_nearest [m]
+constexpr std::size_t kGrain = 64;
+
+std::variant<CellIndex, KdTree> search_over(std::span<const Vec3f> points,
+                                            const PhotonParams& params)
+{
+    if (params.photon_search == PhotonSearch::Tree) return KdTree(points);
+    return CellIndex(points, static_cast<float>(params.photon_radius));
+}
+
+void check_places(std::span<const Vec3f> position, std::span<const Vec3f> normal,
+                  std::span<const float> area, const char* what)
+{
+    if (normal.size() != position.size() || area.size() != position.size())
+        throw InvalidInput(
+            fmt::format("photons: {} {}s with {} normals and {} areas, must be as many of each",
+                        position.size(), what, normal.size(), area.size()));
+    for (std::size_t i = 0; i < position.size(); ++i) {
+        const Vec3f p = position[i], n = normal[i];
+        if (!(std::isfinite(p.x + p.y + p.z) && std::abs(dot(n, n) - 1) < 1e-3f))
+            throw InvalidInput(fmt::format(
+                "photons: {} {}: position ({}, {}, {}) m, normal ({}, {}, {}); must be finite, and "
+                "of length 1",
+                what, i, p.x, p.y, p.z, n.x, n.y, n.z));
+    }
+}
+
+std::int32_t plant_of(const Receivers& receivers, std::size_t i)
+{
+    return receivers.plant.empty() ? -1 : receivers.plant[i];
+}
+
+}  // namespace
+
+SiteKernel::SiteKernel(std::span<const Vec3f> position, std::span<const Vec3f> normal,
+                       std::span<const float> area, const PhotonParams& params, double moss_size)
+    : position_(position),
+      normal_(normal),
+      area_(area),
+      radius_(static_cast<float>(params.photon_radius)),
+      moss_size_(moss_size)
+{
+    validate(params);
+    check_places(position, normal, area, "site");
+    for (std::size_t i = 0; i < area.size(); ++i)
+        if (!(area[i] > 0 && std::isfinite(area[i])))
+            throw InvalidInput(
+                fmt::format("photons: site {}: area = {} m^2, must be > 0", i, area[i]));
+    if (!(moss_size >= 0 && std::isfinite(moss_size)))
+        throw InvalidParameter(
+            fmt::format("photons: size of moss = {:.6g} m, must be >= 0", moss_size));
+    search_ = search_over(position, params);
+    own_area_ = kernel_area(position, normal);
+    if (params.photon_estimator != PhotonEstimator::Site) return;
+
+    // Scale until equal light on all sites comes out equal: c_i sum_j a_j c_j W_ij = 1.
+    const std::size_t n = size();
+    std::vector<double>& c = receive_;
+    c.resize(n);
+    for (std::size_t i = 0; i < n; ++i) c[i] = 1 / std::sqrt(static_cast<double>(own_area_[i]));
+    std::vector<double> row(n);
+    auto sum_rows = [&] {
+        parallel_for(
+            n,
+            [&](std::size_t i) {
+                double sum = 0;
+                partners(i, [&](std::size_t j, double w) { sum += area_[j] * c[j] * w; });
+                row[i] = sum;
+            },
+            kGrain);
+    };
+    constexpr int kMostRounds = 100;
+    for (int round = 0; round < kMostRounds; ++round) {
+        sum_rows();
+        double worst = 0;
+        for (std::size_t i = 0; i < n; ++i) {
+            worst = std::max(worst, std::abs(c[i] * row[i] - 1));
+            c[i] = std::sqrt(c[i] / row[i]);
+        }
+        if (worst < 1e-6) break;
+    }
+    // W is symmetric, so these are column sums as well: what site j sends adds up to what it got.
+    sum_rows();
+    send_.resize(n);
+    for (std::size_t j = 0; j < n; ++j) send_[j] = 1 / row[j];
+}
+
+template <class F>
+void SiteKernel::around(Vec3f at, Vec3f normal, float radius, F&& f) const
+{
+    const float half = slab(radius);
+    std::visit(
+        [&](const auto& search) {
+            const auto& points = search.points();
+            search.within_slots(at, radius, [&](std::size_t slot, float d2) {
+                const std::size_t j = points[slot].index;
+                if (dot(normal_[j], normal) < kSameSide ||
+                    std::abs(dot(points[slot].at - at, normal)) > half)
+                    return;
+                f(j, 1 - std::sqrt(d2) / radius);
+            });
+        },
+        search_);
+}
+
+template <class F>
+void SiteKernel::partners(std::size_t site, F&& f) const
+{
+    const Vec3f at = position_[site];
+    const float half = slab(radius_);
+    around(at, normal_[site], radius_, [&](std::size_t j, float w) {
+        // Seen from the other side too, or the relation would not be symmetric.
+        if (std::abs(dot(position_[j] - at, normal_[j])) <= half) f(j, static_cast<double>(w));
+    });
+}
+
+float SiteKernel::kernel_area(Vec3f at, Vec3f normal, float radius) const
+{
+    double sum = 0;
+    around(at, normal, radius, [&](std::size_t j, float w) { sum += area_[j] * w; });
+    return static_cast<float>(sum);
+}
+
+std::vector<float> SiteKernel::kernel_area(std::span<const Vec3f> at,
+                                           std::span<const Vec3f> normal) const
+{
+    std::vector<float> areas(at.size());
+    parallel_for(
+        at.size(), [&](std::size_t i) { areas[i] = kernel_area(at[i], normal[i], radius_); },
+        kGrain);
+    return areas;
+}
+
+std::vector<float> SiteKernel::spread(std::span<const double> flux) const
+{
+    std::vector<float> result(size());
+    parallel_for(
+        size(),
+        [&](std::size_t i) {
+            double sum = 0;
+            partners(i, [&](std::size_t j, double w) { sum += w * send_[j] * flux[j]; });
+            result[i] = static_cast<float>(receive_[i] * sum);
+        },
+        kGrain);
+    return result;
+}
+
+double SiteKernel::mean_around(Vec3f at, Vec3f normal, std::span<const float> values) const
+{
+    double sum = 0, weight = 0;
+    around(at, normal, radius_, [&](std::size_t j, float w) {
+        const double share = static_cast<double>(area_[j]) * w;
+        sum += share * values[j];
+        weight += share;
+    });
+    return weight > 0 ? sum / weight : 0;
+}
+
+PhotonMap::PhotonMap(std::span<const Photon> photons, const MossHosts& moss,
+                     const SiteKernel& sites, const PhotonParams& params)
+    : sites_(sites), params_(params)
+{
+    validate(params);
+    if (moss.normal.size() != moss.point.size())
+        throw InvalidInput(fmt::format("photons: {} feet of moss with {} normals, must be as many",
+                                       moss.point.size(), moss.normal.size()));
+    for (const Photon& p : photons)
+        if (p.target >= (p.on_moss ? moss.point.size() : sites.size()))
+            throw InvalidInput(fmt::format("photons: one hit {} {}, of which there are {}",
+                                           p.on_moss ? "moss" : "site", p.target,
+                                           p.on_moss ? moss.point.size() : sites.size()));
+    auto kind = [](const Photon& p) {
+        return static_cast<std::uint8_t>(p.bounce > 0 ? 2 : p.source == Source::Sky ? 1 : 0);
+    };
+    auto counts = [&](const Photon& p) {
+        return params.direct == DirectLight::Photons || kind(p) != 0;
+    };
+
+    if (params.photon_estimator == PhotonEstimator::Site) {
+        for (auto& part : flux_) part.assign(sites.size(), 0);
+        count_.assign(sites.size(), 0);
+        for (const Photon& p : photons) {
+            if (!counts(p) || (p.on_moss ? moss.site.empty() : p.back != 0)) continue;
+            const std::size_t site = p.on_moss ? moss.site[p.target] : p.target;
+            flux_[kind(p)][site] += p.flux;
+            ++count_[site];
+        }
+        return;
+    }
+
+    // What hit moss counts where the moss stands.
+    std::vector<std::uint32_t> chosen;
+    chosen.reserve(photons.size());
+    for (std::size_t i = 0; i < photons.size(); ++i)
+        if (counts(photons[i])) chosen.push_back(static_cast<std::uint32_t>(i));
+    std::vector<Vec3f> points(chosen.size());
+    parallel_for(
+        chosen.size(),
+        [&](std::size_t i) {
+            const Photon& p = photons[chosen[i]];
+            points[i] = p.on_moss ? moss.point[p.target] : p.position;
+        },
+        16384);
+    search_ = search_over(points, params);
+    arrivals_.resize(points.size());
+    beam_or_.resize(points.size());
+    std::visit(
+        [&](const auto& search) {
+            parallel_for(
+                points.size(),
+                [&](std::size_t slot) {
+                    const Photon& p = photons[chosen[search.points()[slot].index]];
+                    arrivals_[slot] = {p.on_moss ? moss.normal[p.target] : p.normal, p.flux};
+                    beam_or_[slot] = kind(p);
+                },
+                16384);
+        },
+        search_);
+}
+
+Irradiance PhotonMap::estimate(const Receivers& receivers, const Progress& progress) const
+{
+    const std::size_t n = receivers.size();
+    Irradiance result;
+    for (auto* part : {&result.beam, &result.sky, &result.indirect}) part->resize(n);
+    result.photons.resize(n);
+    std::visit(
+        [&](const auto& search) {
+            const auto& points = search.points();
+            parallel_for_range(
+                n,
+                [&](std::size_t begin, std::size_t end) {
+                    progress.check();
+                    for (std::size_t i = begin; i < end; ++i) {
+                        const Vec3f at = receivers.position[i], normal = receivers.normal[i];
+                        auto radius = static_cast<float>(params_.photon_radius);
+                        float area = receivers.kernel_area[i];
+                        if (params_.photon_nearest > 0) {
+                            radius = std::max(kNearestLeast,
+                                              search.distance_to_nearest(at, params_.photon_nearest,
+                                                                         kNearestMost));
+                            area = sites_.kernel_area(at, normal, radius);
+                        }
+                        const float half = sites_.slab(radius), per_radius = 1 / radius;
+                        std::array<double, 3> sum{};
+                        std::int32_t count = 0;
+                        search.within_slots(at, radius, [&](std::size_t slot, float d2) {
+                            const Arrival& p = arrivals_[slot];
+                            if (dot(p.normal, normal) < kSameSide ||
+                                std::abs(dot(points[slot].at - at, normal)) > half)
+                                return;
+                            sum[beam_or_[slot]] += p.flux * (1 - std::sqrt(d2) * per_radius);
+                            ++count;
+                        });
+                        if (!(area > 0)) continue;
+                        result.beam[i] = static_cast<float>(sum[0] / area);
+                        result.sky[i] = static_cast<float>(sum[1] / area);
+                        result.indirect[i] = static_cast<float>(sum[2] / area);
+                        result.photons[i] = count;
+                    }
+                },
+                kGrain);
+        },
+        search_);
+    return result;
+}
+
+Irradiance PhotonMap::by_site(const Progress& progress) const
+{
+    progress.check();
+    Irradiance result{
+        sites_.spread(flux_[0]), sites_.spread(flux_[1]), sites_.spread(flux_[2]), {}};
+    result.photons = count_;
+    return result;
+}
+
+Irradiance PhotonMap::at_sites(const Progress& progress) const
+{
+    if (params_.photon_estimator == PhotonEstimator::Site) return by_site(progress);
+    return estimate({sites_.position(), sites_.normal(), sites_.kernel_area(), {}}, progress);
+}
+
+Irradiance PhotonMap::at(const Receivers& receivers, const Irradiance& at_sites,
+                         const Progress& progress) const
+{
+    check_places(receivers.position, receivers.normal, receivers.kernel_area, "receiver");
+    if (params_.photon_estimator == PhotonEstimator::Kernel) return estimate(receivers, progress);
+    const std::size_t n = receivers.size();
+    Irradiance result;
+    for (auto* part : {&result.beam, &result.sky, &result.indirect}) part->resize(n);
+    result.photons.resize(n);
+    const std::vector<float> counts(count_.begin(), count_.end());
+    parallel_for(
+        n,
+        [&](std::size_t i) {
+            auto mean = [&](const std::vector<float>& values) {
+                return static_cast<float>(
+                    sites_.mean_around(receivers.position[i], receivers.normal[i], values));
+            };
+            result.beam[i] = mean(at_sites.beam);
+            result.sky[i] = mean(at_sites.sky);
+            result.indirect[i] = mean(at_sites.indirect);
+            result.photons[i] = static_cast<std::int32_t>(mean(counts));
+        },
+        kGrain);
+    return result;
+}
+
+std::vector<float> beam_by_rays(const PhotonScene& scene, const Daylight& daylight,
+                                const Receivers& receivers, const Progress& progress)
+{
+    std::vector<float> result(receivers.size());
+    parallel_for_range(
+        receivers.size(),
+        [&](std::size_t begin, std::size_t end) {
+            progress.check();
+            for (std::size_t i = begin; i < end; ++i) {
+                const Vec3d n(receivers.normal[i]);
+                const std::int32_t plant = plant_of(receivers, i);
+                double sum = 0;
+                for (const Daylight::Beam& beam : daylight.beams) {
+                    const Vec3d towards = normalized(beam.towards);
+                    const double cosine = dot(n, towards);
+                    if (!(cosine > 0 && towards.z > 0 && beam.irradiance > 0)) continue;
+                    Vec3f origin = scene.off_surface(Vec3d(receivers.position[i]), n);
+                    if (plant >= 0) {
+                        const auto& [centre, radius] =
+                            scene.moss()[static_cast<std::size_t>(plant)];
+                        origin = scene.off_surface(
+                            Vec3d(centre) + towards * static_cast<double>(radius), towards);
+                    }
+                    if (!scene.occluded(origin, Vec3f(towards), plant >= 0))
+                        sum += beam.irradiance * cosine;
+                }
+                result[i] = static_cast<float>(sum);
+            }
+        },
+        kGrain);
+    return result;
+}
+
+void gather(const PhotonScene& scene, const Daylight& daylight, const Receivers& receivers,
+            std::span<const float> at_sites, std::span<const float> at_plants,
+            const PhotonParams& params, std::uint64_t seed, std::uint64_t day, std::uint64_t salt,
+            Irradiance& result, const Progress& progress)
+{
+    const std::uint64_t key = hash2(hash2(seed, day), salt);
+    const int rays = params.gather_rays;
+    parallel_for_range(
+        receivers.size(),
+        [&](std::size_t begin, std::size_t end) {
+            progress.check();
+            for (std::size_t i = begin; i < end; ++i) {
+                if (result.photons[i] >= params.gather_below) continue;
+                const Vec3d n(receivers.normal[i]);
+                const std::int32_t plant = plant_of(receivers, i);
+                Vec3f origin = scene.off_surface(Vec3d(receivers.position[i]), n);
+                if (plant >= 0) {
+                    const auto& [centre, radius] = scene.moss()[static_cast<std::size_t>(plant)];
+                    origin = scene.off_surface(Vec3d(centre) + n * static_cast<double>(radius), n);
+                }
+                // A lattice, shifted at random from place to place.
+                const Frame frame(n);
+                const double shift = uniform01(key, kGather, i, 0);
+                const double turn = uniform01(key, kGather, i, 1);
+                double sky = 0, surfaces = 0;
+                for (int k = 0; k < rays; ++k) {
+                    const double v = turn + k * 0.61803398874989485;
+                    const Vec3f direction(
+                        cosine_direction(frame, (k + shift) / rays, v - std::floor(v)));
+                    PhotonScene::Hit hit;
+                    if (!scene.intersect(origin, direction, hit, plant >= 0)) {
+                        if (direction.z > 0) sky += daylight.sky;
+                    } else if (hit.on_moss)
+                        surfaces += at_plants[hit.target] * scene.albedo_of(true, hit.target);
+                    else if (!hit.back)
+                        surfaces += at_sites[hit.target] * scene.albedo_of(false, hit.target);
+                }
+                result.sky[i] = static_cast<float>(sky / rays);
+                result.indirect[i] = static_cast<float>(surfaces / rays);
+            }
+        },
+        8);
+}
+
+PhotonLight light_of_day(const PhotonScene& scene, const SiteKernel& sites,
+                         const Daylight& daylight, std::span<const Photon> photons,
+                         const MossHosts& moss, const Receivers& receivers,
+                         const PhotonParams& params, std::uint64_t seed, std::uint64_t day,
+                         const Progress& progress)
+{
+    if (!receivers.plant.empty() && receivers.plant.size() != receivers.size())
+        throw InvalidInput(fmt::format("photons: {} receivers with {} plants, must be as many",
+                                       receivers.size(), receivers.plant.size()));
+    if (scene.sites() != sites.size())
+        throw InvalidInput(fmt::format("photons: {} sites on {} triangles, must be as many",
+                                       sites.size(), scene.sites()));
+    for (std::size_t i = 0; i < receivers.plant.size(); ++i)
+        if (receivers.plant[i] >= static_cast<std::int64_t>(scene.moss().size()))
+            throw InvalidInput(
+                fmt::format("photons: receiver {} is plant {}, of which there are {}", i,
+                            receivers.plant[i], scene.moss().size()));
+    const PhotonMap map(photons, moss, sites, params);
+    PhotonLight light;
+    light.sites = map.at_sites(progress);
+    light.receivers = map.at(receivers, light.sites, progress);
+    const Receivers all_sites{sites.position(), sites.normal(), sites.kernel_area(), {}};
+    if (params.direct == DirectLight::Rays) {
+        light.sites.beam = beam_by_rays(scene, daylight, all_sites, progress);
+        light.receivers.beam = beam_by_rays(scene, daylight, receivers, progress);
+    }
+    if (!params.final_gather) return light;
+
+    // All look at what the photons alone found, so that the order of places plays no part.
+    std::vector<float> at_sites(sites.size()), at_plants(scene.moss().size(), 0.0f);
+    for (std::size_t i = 0; i < at_sites.size(); ++i) at_sites[i] = light.sites.total(i);
+    for (std::size_t i = 0; i < receivers.size(); ++i)
+        if (const std::int32_t plant = plant_of(receivers, i); plant >= 0)
+            at_plants[static_cast<std::size_t>(plant)] = light.receivers.total(i);
+    gather(scene, daylight, all_sites, at_sites, at_plants, params, seed, day, 0, light.sites,
+           progress);
+    gather(scene, daylight, receivers, at_sites, at_plants, params, seed, day, 1, light.receivers,
+           progress);
+    return light;
+}
+
+void running_mean(std::span<float> mean, std::span<const float> today, int day, int days)
+{
+    const auto share = static_cast<float>(std::max(1, std::min(day, days)));
+    for (std::size_t i = 0; i < mean.size(); ++i) mean[i] += (today[i] - mean[i]) / share;
+}
+
+}  // namespace sekitei::light
