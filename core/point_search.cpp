@@ -59,10 +59,10 @@ KdTree::KdTree(std::span<const Vec3f> points)
     // As many levels as leave a few points in each leaf.
     const std::uint32_t nodes = n > kLeafPoints ? std::bit_ceil(n / kLeafPoints) : 1;
     planes_.resize(nodes);
-    struct Range {
+    struct Part {
         std::uint32_t begin, end;
     };
-    std::vector<Range> level{{0, n}}, below;
+    std::vector<Part> level{{0, n}}, below;
     for (std::uint32_t first = 1; first < nodes; first *= 2) {
         below.resize(2 * level.size());
         parallel_for(level.size(), [&](std::size_t i) {

@@ -106,29 +106,29 @@ private:
     template <class Bound, class F>
     void visit(Vec3f at, Bound&& bound, F&& f) const
     {
-        struct Range {
+        struct Part {
             std::uint32_t node, begin, end;
             float away;  ///< squared distance to the plane beyond which it lies
         };
-        std::array<Range, 40> stack;
+        std::array<Part, 40> stack;
         std::size_t waiting = 0;
         stack[waiting++] = {1, 0, static_cast<std::uint32_t>(points_.size()), 0};
         while (waiting > 0) {
-            Range range = stack[--waiting];
-            if (!(range.away <= bound())) continue;
+            Part part = stack[--waiting];
+            if (!(part.away <= bound())) continue;
             // Go down on the side of `at`; the other side waits.
-            while (range.node < planes_.size()) {
-                const Plane plane = planes_[range.node];
-                const std::uint32_t middle = range.begin + (range.end - range.begin) / 2;
+            while (part.node < planes_.size()) {
+                const Plane plane = planes_[part.node];
+                const std::uint32_t middle = part.begin + (part.end - part.begin) / 2;
                 const float off = at[static_cast<int>(plane.axis)] - plane.at;
                 const bool above = off > 0;
-                const Range low{2 * range.node, range.begin, middle, 0};
-                const Range high{2 * range.node + 1, middle, range.end, 0};
+                const Part low{2 * part.node, part.begin, middle, 0};
+                const Part high{2 * part.node + 1, middle, part.end, 0};
                 stack[waiting] = above ? low : high;
                 stack[waiting++].away = off * off;
-                range = above ? high : low;
+                part = above ? high : low;
             }
-            for (std::uint32_t slot = range.begin; slot < range.end; ++slot) {
+            for (std::uint32_t slot = part.begin; slot < part.end; ++slot) {
                 const float d2 = squared_distance(at, points_[slot].at);
                 if (d2 <= bound()) f(std::size_t{slot}, d2);
             }
