@@ -150,22 +150,18 @@ void Ground::advance(const WeatherDay& w, std::span<const float> light, std::vec
         day.rain.run.assign(n, 0);
     }
 
-    soil::Inputs inputs{
-        .water = water,
-        .light = light,
-        .temperature = day.air_temperature,
-        .humidity = day.air_humidity,
-        .rain = day.rain.supply,
-        .wind = day.wind,
-        .sky_view = 1.0f,
-        .cover = 0.0f,
-        .depth = s_.depth,
-        .soil = soil_index_,
-        .soils = soils_,
-        .air = {.sunshine =
-                    w.possible_sunshine > 0 ? std::min(1.0, w.sunshine / w.possible_sunshine) : 0.0,
-                .pressure = w.pressure,
-                .longwave = w.longwave}};
+    soil::Inputs inputs{.water = water,
+                        .light = light,
+                        .temperature = day.air_temperature,
+                        .humidity = day.air_humidity,
+                        .rain = day.rain.supply,
+                        .wind = day.wind,
+                        .sky_view = 1.0f,
+                        .cover = 0.0f,
+                        .depth = s_.depth,
+                        .soil = soil_index_,
+                        .soils = soils_,
+                        .air = air_of(w)};
     if (*params_.sky_view) inputs.sky_view = s_.sky_view;
     if (!cover.empty()) inputs.cover = cover;
     soil::run(inputs, params_.ground, day.ground, progress);
@@ -183,6 +179,29 @@ void Ground::advance(const WeatherDay& w, std::span<const float> light, std::vec
                         std::max(stored + day.rainfall, area_);
     day.inflow = after[3] - day.rainfall;
     water.swap(day.ground.water);
+}
+
+soil::Air Ground::air_of(const WeatherDay& w)
+{
+    return {
+        .sunshine = w.possible_sunshine > 0 ? std::min(1.0, w.sunshine / w.possible_sunshine) : 0.0,
+        .pressure = w.pressure,
+        .longwave = w.longwave};
+}
+
+soil::Day Ground::day_at(std::size_t i, const GroundDay& day, double light, double water,
+                         double cover) const
+{
+    return soil::day({.light = light,
+                      .temperature = double(day.air_temperature[i]),
+                      .humidity = double(day.air_humidity[i]),
+                      .rain = day.rain.supply[i],
+                      .wind = double(day.wind[i]),
+                      .sky_view = *params_.sky_view ? double(s_.sky_view[i]) : 1.0,
+                      .cover = cover,
+                      .depth = double(s_.depth[i]),
+                      .water = water},
+                     air_of(day.weather), soils_[soil_index_[i]], params_.ground);
 }
 
 }  // namespace sekitei::apps

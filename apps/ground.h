@@ -135,7 +135,15 @@ public:
                  std::vector<double>& water, std::span<const float> cover, GroundDay& day,
                  const Progress& progress) const;
 
+    /// The day of one site again, in another light.
+    /// @param day    as advance() left it
+    /// @param water  O at yesterday's end [mm]
+    soil::Day day_at(std::size_t site, const GroundDay& day, double light, double water,
+                     double cover) const;
+
 private:
+    static soil::Air air_of(const WeatherDay& weather);
+
     ClimateParams params_;
     Site site_;
     GroundSites s_;

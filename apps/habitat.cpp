@@ -192,40 +192,74 @@ const std::vector<Column>& Statistics::columns()
     return list;
 }
 
-Statistics::Statistics(int species) : species_(species) {}
-
-void Statistics::choose(const SurfaceCells& cells, std::span<const float> mean_light, double ground)
+const std::vector<Column>& Statistics::photon_columns()
 {
-    kind_.resize(cells.size());
-    shade_area_ = north_area_ = low_area_ = 0;
-    for (std::size_t i = 0; i < cells.size(); ++i) {
-        const bool shade = mean_light[i]<kShade, north = cells.normal[i].y> kNorth,
-                   low = cells.position[i].z < ground + kLowHeight;
-        kind_[i] = static_cast<std::uint8_t>((shade ? kIsShade : 0) | (north ? kIsNorth : 0) |
-                                             (low ? kIsLow : 0));
-        if (shade) shade_area_ += double(cells.area[i]);
-        if (north) north_area_ += double(cells.area[i]);
-        if (shade && low) low_area_ += double(cells.area[i]);
-    }
+    static const std::vector<Column> list = {
+        {"emitted", "W", "light sent towards the scene as photons"},
+        {"missed", "W", "that met nothing"},
+        {"absorbed", "W", "by land and moss"},
+        {"escaped", "W", "after a reflection"},
+        {"lost", "W", "given up after 64 bounces"},
+        {"stored", "", "photons that hit something"},
+        {"photons", "", "mean number an estimate of light rests on"},
+        {"seeds_lost_back", "", "seeds that fell on the back of a face"},
+        {"seeds_lost_nothing", "", "that fell on nothing"},
+        {"seeds_lost_high", "", "that would stand too high on other mosses"},
+        {"seeds_lost_collision", "", "that came too close to others"},
+        {"seeds_lost_cap", "", "oldest ones beyond four caps"},
+        {"seeds_lost_expired", "", "that grew too old"},
+        {"germination_refused", "", "germinations put off because the cap was reached"}};
+    return list;
 }
 
-void Statistics::add(int number, const Climate& climate, const ClimateDay& day,
-                     const std::vector<double>& water, const MossDay& mosses)
+Statistics::Statistics(int species, bool more) : species_(species), more_(more) {}
+
+std::size_t Statistics::width() const
 {
-    const SurfaceCells& cells = climate.cells();
-    const double area = climate.ground().area();
+    return kColumns + (more_ ? photon_columns().size() : 0);
+}
+
+void Statistics::choose(std::size_t i, double area, Vec3f normal, double height, float light)
+{
+    const bool shade = light<kShade, north = normal.y> kNorth, low = height < kLowHeight;
+    kind_[i] = static_cast<std::uint8_t>((shade ? kIsShade : 0) | (north ? kIsNorth : 0) |
+                                         (low ? kIsLow : 0));
+    if (shade) shade_area_ += area;
+    if (north) north_area_ += area;
+    if (shade && low) low_area_ += area;
+}
+
+bool Statistics::is_low(std::size_t site) const
+{
+    return !kind_.empty() && (kind_[site] & kIsLow);
+}
+
+void Statistics::add(int number, const Ground& ground_, const GroundDay& day,
+                     std::span<const float> light, const std::vector<double>& water,
+                     const MossDay& mosses, std::span<const double> more)
+{
+    const std::span<const float> areas = ground_.site_area();
+    const double area = ground_.area();
+    auto finish = [&](const double* row, const moss::SpeciesDay& of) {
+        rows_.insert(rows_.end(), row, row + kColumns);
+        if (!more_) return;
+        rows_.insert(rows_.end(), more.begin(), more.end());
+        for (const std::int64_t n : {of.back_face, of.no_hit, of.too_high, of.collided, of.dropped,
+                                     of.expired, of.refused})
+            rows_.push_back(double(n));
+    };
     double row[kColumns] = {};
     row[kDay] = number;
     row[kSpecies] = -1;
     row[kDirection] = day.weather.wind_direction;
     auto kind = [&](std::size_t i) { return kind_.empty() ? std::uint8_t(0) : kind_[i]; };
-    const auto ground = sums_over<6>(cells.size(), [&](std::size_t i, std::array<double, 6>& sum) {
-        const double a = double(cells.area[i]), humidity = a * double(day.ground.humidity[i]);
-        sum[0] += a * double(day.light.total[i]);
+    const auto ground = sums_over<6>(areas.size(), [&](std::size_t i, std::array<double, 6>& sum) {
+        const double a = double(areas[i]), humidity = a * double(day.ground.humidity[i]);
+        sum[0] += a * double(light[i]);
         sum[1] += a * double(day.ground.temperature[i]);
         sum[2] += humidity;
         if (kind(i) & kIsNorth) sum[3] += humidity;
-        sum[4] += a * water[i] / double(climate.ground().depth()[i]);
+        sum[4] += a * water[i] / double(ground_.depth()[i]);
         sum[5] += a * day.ground.evaporation[i];
     });
     row[kLight] = ground[0] / area;
@@ -238,18 +272,19 @@ void Statistics::add(int number, const Climate& climate, const ClimateDay& day,
     row[kRunoff] = day.outflow / area;
     row[kBalance] = day.balance_error;
     largest_error_ = std::max(largest_error_, std::abs(day.balance_error));
-    if (species_ == 0) rows_.insert(rows_.end(), row, row + kColumns);
+    if (species_ == 0) finish(row, {});
     for (int s = 0; s < species_; ++s) {
         const moss::SpeciesDay& of = mosses.numbers->species[std::size_t(s)];
         const std::vector<float>& g = mosses.fitness[std::size_t(s)];
         const auto sums =
-            sums_over<4>(cells.size(), [&](std::size_t i, std::array<double, 4>& sum) {
-                const double a = double(cells.area[i]), fit = a * double(g[i]);
+            sums_over<4>(areas.size(), [&](std::size_t i, std::array<double, 4>& sum) {
+                const double a = double(areas[i]), fit = a * double(g[i]);
                 const std::uint8_t k = kind(i);
                 sum[0] += fit;
                 if (k & kIsShade) sum[1] += fit;
                 if ((k & kIsShade) && (k & kIsLow)) sum[2] += fit;
-                if ((k & kIsLow) && mosses.species[i] == s + 1) sum[3] += a;
+                if ((k & kIsLow) && !mosses.species.empty() && mosses.species[i] == s + 1)
+                    sum[3] += a;
             });
         row[kSpecies] = s;
         row[kLiving] = double(of.living);
@@ -260,29 +295,30 @@ void Statistics::add(int number, const Climate& climate, const ClimateDay& day,
         row[kFitness] = sums[0] / area;
         row[kFitnessShade] = share_of(sums[1], shade_area_);
         row[kFitnessLow] = share_of(sums[2], low_area_);
-        row[kCoverLow] = sums[3];
-        rows_.insert(rows_.end(), row, row + kColumns);
+        row[kCoverLow] = mosses.cover_low.empty() ? sums[3] : mosses.cover_low[std::size_t(s)];
+        finish(row, of);
     }
 }
 
 void Statistics::restore(const std::vector<double>& saved)
 {
-    if (saved.size() % kColumns != 0)
+    if (saved.size() % width() != 0)
         throw InvalidInput("checkpoint: the statistics have an odd length");
     rows_ = saved;
-    for (std::size_t r = 0; r < rows_.size(); r += kColumns)
+    for (std::size_t r = 0; r < rows_.size(); r += width())
         largest_error_ = std::max(largest_error_, std::abs(rows_[r + kBalance]));
 }
 
 Points Statistics::points(const std::string& stage) const
 {
     Points points;
-    const std::size_t n = rows_.size() / kColumns;
+    const std::size_t n = rows_.size() / width();
     points.position.assign(n, Vec3d());
-    for (int c = 0; c < kColumns; ++c) {
+    for (std::size_t c = 0; c < width(); ++c) {
         std::vector<double> column(n);
-        for (std::size_t r = 0; r < n; ++r) column[r] = rows_[r * kColumns + std::size_t(c)];
-        points.attributes[columns()[std::size_t(c)].name] = std::move(column);
+        for (std::size_t r = 0; r < n; ++r) column[r] = rows_[r * width() + c];
+        points.attributes[c < kColumns ? columns()[c].name : photon_columns()[c - kColumns].name] =
+            std::move(column);
     }
     points.stage = stage;
     return points;
@@ -300,7 +336,10 @@ std::string statistics_csv(const Points& statistics, const std::vector<std::stri
 {
     std::vector<const std::vector<double>*> columns;
     std::vector<std::string> header;
-    for (const Column& column : Statistics::columns()) {
+    std::vector<Column> wanted = Statistics::columns();
+    for (const Column& column : Statistics::photon_columns())
+        if (statistics.attributes.contains(column.name)) wanted.push_back(column);
+    for (const Column& column : wanted) {
         columns.push_back(&statistics_column(statistics, column.name, "statistics"));
         header.push_back(column.unit.empty() ? column.name
                                              : fmt::format("{} [{}]", column.name, column.unit));

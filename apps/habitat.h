@@ -67,6 +67,7 @@ struct MossDay {
     const moss::DayStatistics* numbers = nullptr;
     std::span<const std::uint8_t> species{};  ///< of each cell's moss, from 1; 0: none
     std::span<const std::vector<float>> fitness{};
+    std::span<const double> cover_low{};  ///< [m^2] of each species, where `species` is empty
 };
 
 /// One column of `statistics`.
@@ -75,6 +76,7 @@ struct Column {
 };
 
 /// The points `statistics`: a row for each day and species (-1: the ground alone), in that order.
+/// Cells below are surface cells of a volume, or the sites of a mesh.
 ///
 /// Means over the surface are weighted by area. "Shade": cells with less than 80 W/m^2 in the mean
 /// of the weather's days; "north": cells whose normal points north; "low": below 0.5 m.
@@ -83,14 +85,30 @@ public:
     static const std::vector<Column>& columns();
 
     /// @param species  how many; 0: rows of the ground alone
-    explicit Statistics(int species);
-    /// Says which cells are shady, face north and lie low; until then those columns are 0.
-    /// @param mean_light  light_S of each cell
-    /// @param ground      height of the ground [m]
-    void choose(const SurfaceCells& cells, std::span<const float> mean_light, double ground);
+    /// @param more     with photon_columns()
+    explicit Statistics(int species, bool more = false);
+    /// What photons and seeds on a mesh add to columns().
+    static const std::vector<Column>& photon_columns();
 
-    void add(int day, const Climate& climate, const ClimateDay& today,
-             const std::vector<double>& water, const MossDay& mosses);
+    /// Says which sites are shady, face north and lie low; until then those columns are 0.
+    /// @param sites       cells, or sites of a mesh
+    /// @param mean_light  of each [W/m^2]
+    /// @param ground      height of the ground [m]
+    template <class Sites>
+    void choose(const Sites& sites, std::span<const float> mean_light, double ground)
+    {
+        kind_.resize(sites.size());
+        shade_area_ = north_area_ = low_area_ = 0;
+        for (std::size_t i = 0; i < sites.size(); ++i)
+            choose(i, double(sites.area[i]), sites.normal[i], double(sites.position[i].z) - ground,
+                   mean_light[i]);
+    }
+    bool is_low(std::size_t site) const;
+
+    /// @param more  the first seven of photon_columns(); those of seeds are in `mosses`
+    void add(int day, const Ground& ground, const GroundDay& today, std::span<const float> light,
+             const std::vector<double>& water, const MossDay& mosses,
+             std::span<const double> more = {});
 
     Points points(const std::string& stage) const;
     double largest_balance_error() const { return largest_error_; }
@@ -99,7 +117,11 @@ public:
     void restore(const std::vector<double>& saved);
 
 private:
+    void choose(std::size_t site, double area, Vec3f normal, double height, float light);
+    std::size_t width() const;
+
     int species_;
+    bool more_;
     std::vector<std::uint8_t> kind_;  ///< bits: shade, north, low
     double shade_area_ = 0, north_area_ = 0, low_area_ = 0;
     std::vector<double> rows_;

@@ -56,7 +56,8 @@ Property property_of(const std::string& name, const Points::Attribute& values)
     return std::visit(Visitor{name}, values);
 }
 
-/// Points as binary PLY: x y z as doubles, then every attribute.
+}  // namespace
+
 std::string encode_points(const Points& points)
 {
     std::string header = fmt::format(
@@ -90,6 +91,8 @@ std::string encode_points(const Points& points)
     }
     return bytes;
 }
+
+namespace {
 
 class ExportStage : public Stage {
 public:

@@ -4,9 +4,12 @@
 #include <cmath>
 
 #include "apps/climate.h"
+#include "apps/mesh_habitat.h"
 #include "apps/stages/scenery.h"
 #include "apps/stages/stages.h"
+#include "apps/weather_choice.h"
 #include "core/error.h"
+#include "core/file_output.h"
 #include "core/log.h"
 #include "core/math.h"
 #include "grids/level_set.h"
@@ -15,36 +18,31 @@
 namespace sekitei::apps {
 namespace {
 
+namespace fs = std::filesystem;
+
 /// The surface, the place and the days.
 struct LightParams {
     std::string surface;
     std::optional<double> cell;
-    std::filesystem::path weather;
-    std::optional<double> latitude, longitude;
-    std::int64_t first_day = 0;
+    std::string debug_photons;
     std::optional<std::int64_t> days;
     bool repeat_year = false;
-    WeatherFill fill = WeatherFill::Error;
 
     static void describe(auto&& field)
     {
-        field("surface", &LightParams::surface,
-              "grid whose surface gets the climate; empty: surface_sdf, else density");
+        field(
+            "surface", &LightParams::surface,
+            "grid whose surface gets the climate, or `mesh` for the triangles of a mesh; empty: a "
+            "mesh where one is given, else surface_sdf, else density");
         field("cell", &LightParams::cell, "m", kPositive,
-              "edge of the surface cells where the surface is no level set; auto: its voxel");
-        field("weather", &LightParams::weather,
-              "weather: JMA daily CSV, EPW, monthly normals or own CSV with units in the header");
-        field("latitude", &LightParams::latitude, "deg", between(-90, 90),
-              "north positive; auto: as the weather file says");
-        field("longitude", &LightParams::longitude, "deg", between(-180, 180),
-              "east positive; auto: as the weather file says, else 0");
-        field("first_day", &LightParams::first_day, "", kNotNegative,
-              "day of the weather to begin with, 0 being its first");
+              "edge of the surface cells where the surface is no level set; auto: its voxel, or "
+              "the site of a mesh");
+        field("debug_photons", &LightParams::debug_photons,
+              "on a mesh: file for all stored photons as points (PLY); empty: none");
         field("days", &LightParams::days, "d", between(1, 1000000),
               "length of the weather to use; auto: to its end");
         field("repeat_year", &LightParams::repeat_year,
               "begin the weather anew when it is shorter than days");
-        field("fill", &LightParams::fill, "days that are missing in the weather");
     }
 };
 
@@ -65,16 +63,35 @@ public:
             {"surface_sdf", "surf_normal", "surf_area", "sky_view", "rain_exposure", "light_S",
              "light_direct", "light_sky", "light_reflected", "daylight", "weather"},
             false,
-            {"weather.open_face"}};
+            {"weather.open_face"},
+            true};
         return kInfo;
+    }
+    void meets_mesh(bool there) override { mesh_given_ = there; }
+    std::vector<fs::path> side_files() override
+    {
+        return params_.debug_photons.empty() ? std::vector<fs::path>()
+                                             : std::vector<fs::path>{params_.debug_photons};
+    }
+    std::vector<std::string> makes() override
+    {
+        if (!on_mesh()) return info().makes;
+        std::vector<std::string> names = site_items();
+        for (const char* field : {"light_S", "light_direct", "light_sky", "light_indirect",
+                                  "sky_view", "rain_exposure"})
+            names.emplace_back(field);
+        if (!choice_.weather.empty()) names.emplace_back("weather");
+        return names;
     }
     std::vector<std::string> needs() override
     {
+        if (on_mesh()) return {"rock"};
         if (!params_.surface.empty()) return {params_.surface};
         return {};
     }
     std::vector<std::string> uses() override
     {
+        if (on_mesh()) return {};
         std::vector<std::string> names{"obstacle_sdf", "leaves"};
         if (params_.surface.empty()) names.insert(names.end(), kSurfaces.begin(), kSurfaces.end());
         return names;
@@ -82,22 +99,31 @@ public:
     ParamList params() override
     {
         ParamList list = describe_params(params_);
+        for (Param& p : describe_params(choice_)) list.push_back(std::move(p));
         for (Param& p : describe_params(light_)) list.push_back(std::move(p));
+        for (Param& p : describe_params(ground_)) list.push_back(std::move(p));
+        for (Param& p : describe_params(photons_)) list.push_back(std::move(p));
         return list;
     }
     void validate() override
     {
         validate_described("light", params_);
         light::validate(light_);
+        light::validate(photons_);
+        validate_described("light", choice_);
+        validate_described("light", ground_);
         if (!params_.days) warn_unused(*this, {"repeat_year"}, "without days");
         if (light_.bounces == 0) warn_unused(*this, {"links", "albedo"}, "with bounces = 0");
-        if (params_.weather.empty())
+        if (choice_.weather.empty() && !on_mesh())
             throw InvalidParameter(
                 "light: weather: which? give a JMA daily CSV, an EPW, monthly normals or a CSV "
                 "with units in its header; data/weather has some");
     }
 
-    void check_files(const StageContext& context) override { days(context); }
+    void check_files(const StageContext& context) override
+    {
+        if (!choice_.weather.empty()) days(context);
+    }
 
     Need estimate(SceneOutline& outline, const StageContext&) override
     {
@@ -108,6 +134,11 @@ public:
 
     Json run(Scene& scene, const StageContext& context) override
     {
+        if (on_mesh()) return run_on_mesh(scene, context);
+        std::vector<std::string> of_meshes{"debug_photons"};
+        for (const Param& p : describe_params(ground_)) of_meshes.push_back(p.name);
+        for (const Param& p : describe_params(photons_)) of_meshes.push_back(p.name);
+        warn_unused(*this, of_meshes, "on cells");
         const Progress& progress = context.progress;
         // The weather first: its mistakes are the quickest to find.
         const Weather weather = days(context);
@@ -187,28 +218,99 @@ public:
     }
 
 private:
+    bool on_mesh() const
+    {
+        return params_.surface.empty() ? mesh_given_ : params_.surface == "mesh";
+    }
+
+    /// Photons of all days at once: their mean light.
+    Json run_on_mesh(Scene& scene, const StageContext& context)
+    {
+        const Progress& progress = context.progress;
+        const TriMesh was = scene.meshes.at("rock");
+        const MeshSites sites = mesh_sites(was, ground_.site, progress.slice(0, 0.05));
+        check_memory("light", 2e8 + 400 * double(sites.size()) + 150 * double(photons_.photons),
+                     context.memory_limit);
+        Weather weather;
+        if (choice_.weather.empty())
+            weather.site = Site{};
+        else
+            weather = days(context);
+        for (const std::string& note : weather.notes) log::info("light: {}", note);
+        const SunMode mode = sun_mode(ground_, !choice_.weather.empty());
+        const light::Daylight daylight =
+            daylight_of(ground_, mode, true, weather.days, *weather.site);
+        Exposure seen = exposure_of(sites, weather.site->latitude, light::rain_winds(weather.days),
+                                    progress.slice(0.05, 0.3));
+
+        const std::vector<float> albedo(sites.size(), static_cast<float>(light_.albedo));
+        const light::PhotonScene rays(sites.mesh, albedo, 0.2, 0, progress.slice(0.3, 0.35));
+        light::validate(photons_, rays.radius());
+        const light::SiteKernel kernel(sites.position, sites.normal, sites.area, photons_, 0);
+        const light::Shot shot =
+            shoot(rays, daylight, photons_, context.seed, 1, progress.slice(0.35, 0.6));
+        light::PhotonLight found =
+            light::light_of_day(rays, kernel, daylight, shot.photons, {}, {}, photons_,
+                                context.seed, 1, progress.slice(0.6, 0.8));
+        const std::size_t n = sites.size();
+        std::vector<float> total(n);
+        double area = 0, mean = 0;
+        for (std::size_t i = 0; i < n; ++i) {
+            total[i] = found.sites.total(i);
+            area += double(sites.area[i]);
+            mean += double(sites.area[i]) * double(total[i]);
+        }
+        const std::vector<SiteField> fields{
+            {"light_S", "W/m^2", std::move(total)},
+            {"light_direct", "W/m^2", std::move(found.sites.beam)},
+            {"light_sky", "W/m^2", std::move(found.sites.sky)},
+            {"light_indirect", "W/m^2", std::move(found.sites.indirect)},
+            {"sky_view", "", std::move(seen.sky_view)},
+            {"rain_exposure", "", std::move(seen.rain_exposure)}};
+        put_sites(scene, sites, was, fields, nullptr, "light");
+        put_cells(scene, sites, fields, params_.cell.value_or(ground_.site), "light",
+                  progress.slice(0.8, 1));
+        if (!weather.days.empty()) scene.points["weather"] = weather_points(weather);
+        if (!params_.debug_photons.empty())
+            write_file(resolve(context, params_.debug_photons), encode_points(points_of(shot)));
+        const light::Ledger& l = shot.ledger;
+        return {{"sites", n},
+                {"area_m2", area},
+                {"mean_light", mean / area},
+                {"photons", l.photons},
+                {"stored", shot.photons.size()},
+                {"emitted_W", l.emitted},
+                {"missed_W", l.missed},
+                {"absorbed_W", l.absorbed},
+                {"escaped_W", l.escaped},
+                {"lost_W", l.lost}};
+    }
+
+    /// Stored photons as points: `dir` of flight, `N` of the surface, `flux` [W], `bounce`.
+    static Points points_of(const light::Shot& shot)
+    {
+        Points points;
+        std::vector<Vec3f> direction, normal;
+        std::vector<float> flux;
+        std::vector<std::int32_t> bounce;
+        for (const light::Photon& photon : shot.photons) {
+            points.position.emplace_back(photon.position);
+            direction.push_back(photon.direction);
+            normal.push_back(photon.normal);
+            flux.push_back(photon.flux);
+            bounce.push_back(photon.bounce);
+        }
+        points.attributes = {{"dir", std::move(direction)},
+                             {"N", std::move(normal)},
+                             {"flux", std::move(flux)},
+                             {"bounce", std::move(bounce)}};
+        return points;
+    }
+
     /// The days of the weather that count.
     Weather days(const StageContext& context) const
     {
-        std::optional<Site> site;
-        if (params_.latitude) site = Site{*params_.latitude * math::kPi / 180, 0};
-        const std::filesystem::path file = resolve(context, params_.weather);
-        Weather weather = read_weather(file, site, params_.fill);
-        if (weather.site && params_.longitude)
-            weather.site->longitude = *params_.longitude * math::kPi / 180;
-        else if (weather.site && weather.stated)
-            weather.site->longitude = weather.stated->longitude;
-        if (!weather.site)
-            throw InvalidParameter(fmt::format(
-                "light: latitude: {} does not say where it was measured; give --latitude",
-                file.string()));
-        const auto first = static_cast<std::size_t>(params_.first_day);
-        if (first >= weather.days.size())
-            throw InvalidParameter(fmt::format("light: first_day = {}, but {} has {} days", first,
-                                               file.string(), weather.days.size()));
-        const std::size_t count =
-            params_.days ? static_cast<std::size_t>(*params_.days) : weather.days.size() - first;
-        return select_days(weather, first, count, params_.repeat_year);
+        return chosen_weather(choice_, params_.days, params_.repeat_year, "light", context.folder);
     }
 
     /// Puts surface_sdf into the scene where it is not there, and says which box cuts it.
@@ -278,7 +380,11 @@ private:
     static double memory(double cells) { return 2e8 + cells * 1600; }
 
     LightParams params_;
+    WeatherChoice choice_;
     light::Params light_;
+    PhotonGround ground_;
+    light::PhotonParams photons_;
+    bool mesh_given_ = false;
 };
 
 }  // namespace

@@ -4,6 +4,7 @@
 #include <filesystem>
 
 #include "apps/habitat.h"
+#include "apps/stages/moss_mesh.h"
 #include "apps/stages/stages.h"
 #include "core/error.h"
 #include "core/file_output.h"
@@ -19,6 +20,13 @@ namespace fs = std::filesystem;
 
 constexpr int kCheckpointDays = 30;
 
+/// What carries the moss.
+enum class Carrier { Cells, Mesh };
+constexpr std::array<std::string_view, 2> choice_names(Carrier)
+{
+    return {"cells", "mesh"};
+}
+
 struct MossParams {
     std::string species = "bryum,hypnum,polytrichum";
     std::optional<std::int64_t> days;
@@ -26,9 +34,16 @@ struct MossParams {
     std::int64_t every = 0;
     std::string checkpoint;
     std::optional<bool> light_gate;
+    std::optional<Carrier> surface;
+    std::string points;
 
     static void describe(auto&& field)
     {
+        field("surface", &MossParams::surface,
+              "what it grows on: cells of a volume or the triangles of a mesh; auto: a mesh where "
+              "one is given");
+        field("points", &MossParams::points,
+              "file for the mosses as points, as `export` writes them; empty: none");
         field("species", &MossParams::species,
               "names of mosses, separated by commas: bryum, hypnum, polytrichum, grimmia, or "
               ".toml files");
@@ -67,12 +82,19 @@ public:
                 false,
                 {"light", "soil"}};
             info.needs.push_back("light_S");
+            info.reads_mesh = true;
             return info;
         }();
         return kInfo;
     }
+    void meets_mesh(bool there) override { mesh_given_ = there; }
+    std::vector<std::string> needs() override
+    {
+        return on_mesh() ? std::vector<std::string>{"rock"} : info().needs;
+    }
     std::vector<std::string> uses() override
     {
+        if (on_mesh()) return mesh_moss_uses();
         std::vector<std::string> names = climate_uses();
         names.push_back("soil_water");
         return names;
@@ -80,11 +102,22 @@ public:
     std::vector<std::string> makes() override
     {
         std::vector<std::string> names = info().makes;
+        if (on_mesh()) {
+            names = mesh_moss_fields();
+            for (const std::string& item : site_items()) names.push_back(item);
+            for (const char* item : {"moss", "seeds", "statistics", "weather"})
+                names.emplace_back(item);
+        }
         for (const std::string& name : split_names(params_.species))
             names.push_back("suit_" + (fs::path(name).extension() == ".toml"
                                            ? fs::path(name).stem().string()
                                            : name));
         return names;
+    }
+    std::vector<fs::path> side_files() override
+    {
+        return params_.points.empty() ? std::vector<fs::path>()
+                                      : std::vector<fs::path>{params_.points};
     }
     std::vector<fs::path> files() override
     {
@@ -99,6 +132,7 @@ public:
         for (Param& p : describe_params(rules_))
             if (p.name != "light_gate") list.push_back(std::move(p));
         for (Param& p : describe_params(propagation_)) list.push_back(std::move(p));
+        for (Param& p : describe(mesh_)) list.push_back(std::move(p));
         return list;
     }
     void validate() override
@@ -106,6 +140,14 @@ public:
         validate_described("moss", params_);
         moss::validate(rules_);
         moss::validate(propagation_);
+        moss::validate(mesh_.colony);
+        light::validate(mesh_.photons);
+        apps::validate(mesh_.climate);
+        validate_described("moss", mesh_);
+        validate_described("moss", mesh_.land);
+        validate_described("moss", mesh_.steady);
+        validate_described("moss", mesh_.weather);
+        validate_described("moss", mesh_.geology);
         if (!propagation_.spore_wind) warn_unused(*this, {"settling_speed"}, "without spore_wind");
         if (params_.light_gate && !*params_.light_gate)
             warn_unused(*this, {"light_compensation"}, "without light_gate");
@@ -118,7 +160,13 @@ public:
 
     void check_files(const StageContext& context) override
     {
-        for (const fs::path& file : files()) find_species(file.string(), context.folder);
+        for (const std::string& name : split_names(params_.species))
+            if (fs::path(name).extension() == ".toml") find_species(name, context.folder);
+        if (!on_mesh()) return;
+        find_soil(mesh_.climate.soil, context.folder);
+        if (!mesh_.weather.weather.empty())
+            chosen_weather(mesh_.weather, params_.days, params_.repeat_year, "moss",
+                           context.folder);
     }
 
     Need estimate(SceneOutline& outline, const StageContext&) override
@@ -135,6 +183,10 @@ public:
             return grid.first.starts_with("suit_") && grid.second.stage == "moss";
         });
         if (!params_.checkpoint.empty()) check_target(resolve(context, params_.checkpoint));
+        if (on_mesh()) return run_on_mesh(scene, context, species);
+        std::vector<std::string> of_meshes;
+        for (const Param& p : describe(mesh_)) of_meshes.push_back(p.name);
+        warn_unused(*this, of_meshes, "on cells");
         ClimateParams ground;
         if (const Json* made = params_of(scene, "soil"))
             for (const Param& p : describe(ground))
@@ -190,7 +242,7 @@ public:
                 now.population, community, surface, landing,
                 {fitness, day.wind, {-math::sin(from), -math::cos(from), 0}}, progress.slice(1, 1));
             now.means.add(day, now.water);
-            now.statistics.add(int(d) + 1, climate, day, now.water,
+            now.statistics.add(int(d) + 1, climate.ground(), day, day.light.total, now.water,
                                {&mosses, now.population.species, fitness});
             now.humidity.swap(day.ground.humidity);
             const int done = int(d) + 1;
@@ -223,10 +275,36 @@ public:
                             last.species[s].area / area);
         summary["largest_balance_error"] = now.statistics.largest_balance_error();
         if (!climate.ground().has_wind()) summary["wind"] = "as in the weather: no wind stage ran";
+        write_points(scene, context);
         return summary;
     }
 
 private:
+    bool on_mesh() const
+    {
+        return params_.surface ? *params_.surface == Carrier::Mesh : mesh_given_;
+    }
+
+    Json run_on_mesh(Scene& scene, const StageContext& context, std::vector<moss::Species> species)
+    {
+        Json identity = params_json(params());
+        for (const char* free :
+             {"checkpoint", "every", "species", "points", "weather", "texture", "cell", "days"})
+            identity.erase(free);
+        const Json summary = moss_on_mesh(
+            scene, context, mesh_,
+            {std::move(species), rules_, propagation_, params_.days, params_.repeat_year,
+             params_.every, params_.checkpoint, params_.light_gate, identity});
+        write_points(scene, context);
+        return summary;
+    }
+
+    void write_points(const Scene& scene, const StageContext& context) const
+    {
+        if (!params_.points.empty())
+            write_file(resolve(context, params_.points), encode_points(scene.points.at("moss")));
+    }
+
     /// What goes on from day to day.
     struct State {
         moss::Population population;
@@ -243,7 +321,7 @@ private:
                          const std::vector<moss::Species>& species, std::size_t days)
     {
         Json all = params_json(params());
-        for (const char* free : {"checkpoint", "every", "species"}) all.erase(free);
+        for (const char* free : {"checkpoint", "every", "species", "points"}) all.erase(free);
         all["days"] = days;
         all["light_gate"] = rules_.light_gate;
         for (moss::Species kind : species)
@@ -344,6 +422,8 @@ private:
     MossParams params_;
     moss::Rules rules_;
     moss::Propagation propagation_;
+    MeshMossParams mesh_;
+    bool mesh_given_ = false;
 };
 
 }  // namespace

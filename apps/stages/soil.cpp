@@ -75,7 +75,7 @@ public:
         for (std::size_t d = 0; d < days; ++d) {
             climate.advance(d, water, {}, day, progress.slice(1, 1));
             means.add(day, water);
-            statistics.add(int(d) + 1, climate, day, water, {});
+            statistics.add(int(d) + 1, climate.ground(), day, day.light.total, water, {});
             progress.update(double(d + 1) / double(days));
         }
         means.put(scene, cells, "soil");

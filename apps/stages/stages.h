@@ -1,11 +1,15 @@
 #pragma once
 
 #include <memory>
+#include <string>
 
 #include "apps/stage.h"
 
 /// One factory a process; each is defined in a file of its own.
 namespace sekitei::apps {
+
+/// Points as binary PLY: x y z as doubles, then every attribute.
+std::string encode_points(const Points& points);
 
 std::unique_ptr<Stage> make_lava();
 std::unique_ptr<Stage> make_cool();

@@ -174,8 +174,8 @@ Day solve(const Site& site, const Air& air, const Weather& w, const Soil& soil,
     const double exchange = params.moss_blocks_evaporation ? params.exchange_bare : covered;
 
     Day d;
-    d.absorbed =
-        (1 - params.albedo) * site.light + site.sky_view * w.sky + (1 - site.sky_view) * w.black;
+    d.absorbed = (1 - soil.albedo.value_or(params.albedo)) * site.light + site.sky_view * w.sky +
+                 (1 - site.sky_view) * w.black;
     // Rain first: what finds no room runs off.
     const double capacity = site.depth * soil.porosity;
     double water = site.water + site.rain;
@@ -286,11 +286,11 @@ const std::vector<Soil>& preset_soils()
 {
     // F0 = F1 theta_sat^F2 of the printed F1. For asphalt that gives 3.95e-30 m, as if it were
     // always wet; `asphalt` and `rock` take the magnitude of the others.
-    static const std::vector<Soil> soils = {{"humus", 0.172351295, 10.0, 0.490},
-                                            {"sand", 0.147459256, 16.6, 0.392},
-                                            {"rock", 0.15, 19.4, 0.012},
-                                            {"asphalt", 0.15, 19.4, 0.012},
-                                            {"asphalt_printed", 3.95e-30, 19.4, 0.012}};
+    static const std::vector<Soil> soils = {{"humus", 0.172351295, 10.0, 0.490, {}},
+                                            {"sand", 0.147459256, 16.6, 0.392, {}},
+                                            {"rock", 0.15, 19.4, 0.012, {}},
+                                            {"asphalt", 0.15, 19.4, 0.012, {}},
+                                            {"asphalt_printed", 3.95e-30, 19.4, 0.012, {}}};
     return soils;
 }
 

@@ -31,6 +31,7 @@ struct Soil {
     double scale = 0.172351295;  ///< F of dry soil [m]
     double exponent = 10;
     double porosity = 0.490;  ///< theta_sat, water volume per soil volume when full
+    std::optional<double> albedo;  ///< in place of Params::albedo
 
     static void describe(auto&& field)
     {
@@ -39,6 +40,8 @@ struct Soil {
         field("exponent", &Soil::exponent, "", kPositive, "F2, how fast F falls as soil wets");
         field("porosity", &Soil::porosity, "", Range{.lower = 0, .upper = 1, .without_lower = true},
               "theta_sat, share of volume that water can fill");
+        field("albedo", &Soil::albedo, "", between(0, 0.95),
+              "share of sunlight that it throws back; auto: that of all ground");
     }
 };
 

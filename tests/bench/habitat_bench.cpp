@@ -115,7 +115,7 @@ struct Habitat {
         });
         part("means", [&] { means.add(day, water); });
         part("statistics", [&] {
-            statistics.add(int(d) + 1, climate, day, water,
+            statistics.add(int(d) + 1, climate.ground(), day, day.light.total, water,
                            {&numbers, population.species, fitness});
         });
     }

@@ -1,0 +1,230 @@
+#include "apps/mesh_habitat.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+
+#include "core/error.h"
+#include "core/log.h"
+#include "core/math.h"
+#include "core/parallel.h"
+#include "grids/level_set.h"
+#include "grids/surface_cells.h"
+#include "grids/surface_transfer.h"
+#include "solvers/light/light.h"
+#include "solvers/sun/sun.h"
+
+namespace sekitei::apps {
+
+SunMode sun_mode(const PhotonGround& ground, bool has_weather)
+{
+    const SunMode mode = ground.sun.value_or(has_weather ? SunMode::Path : SunMode::Fixed);
+    if (mode == SunMode::Path && !has_weather)
+        throw InvalidParameter("sun = path: along which? give a weather file, which has a place");
+    return mode;
+}
+
+light::Daylight daylight_of(const PhotonGround& ground, SunMode mode, bool sky,
+                            std::span<const WeatherDay> days, const Site& site)
+{
+    light::Daylight light;
+    light.sky = ground.sky_light.value_or(0);
+    if (mode == SunMode::Fixed) {
+        if (ground.open_light > 0)
+            light.beams.push_back(
+                light::fixed_sun(ground.open_light, ground.sun_elevation * math::kPi / 180));
+        return light;
+    }
+    const double share = 1 / static_cast<double>(days.size());
+    for (const WeatherDay& day : days) {
+        const auto moments = sun::moments_of_day(day.year, day.month, day.day, site);
+        const sun::Radiation radiation = sun::radiation(day, site, moments);
+        for (const sun::Moment& moment : moments)
+            light.beams.push_back({moment.to_sun, radiation.beam_normal * moment.share * share});
+        if (sky && !ground.sky_light) light.sky += radiation.diffuse * share;
+    }
+    return light;
+}
+
+ParamList describe(MeshMossParams& params)
+{
+    ParamList list = describe_params(params.weather);
+    auto add = [&](ParamList more) {
+        for (Param& p : more) list.push_back(std::move(p));
+    };
+    add(describe_params(params.steady));
+    add(describe_params(params.land));
+    add(describe_params(params.photons));
+    add(describe_params(params));
+    add(describe_params(params.geology));
+    add(describe_params(params.colony));
+    add(describe(params.climate));
+    return list;
+}
+
+std::vector<float> attribute_at_sites(const TriMesh& mesh, const MeshSites& sites,
+                                      const std::string& name)
+{
+    std::vector<float> values(sites.size());
+    auto number = [&]<class T>(const std::vector<T>& list, std::size_t i) -> double {
+        if constexpr (std::is_same_v<T, Vec3f>)
+            throw InvalidInput(
+                fmt::format("the mesh's attribute '{}' is a vector, expected numbers", name));
+        else
+            return static_cast<double>(list[i]);
+    };
+    if (const auto found = mesh.face_attributes.find(name); found != mesh.face_attributes.end()) {
+        std::visit(
+            [&](const auto& list) {
+                for (std::size_t i = 0; i < values.size(); ++i)
+                    values[i] = static_cast<float>(number(list, sites.face[i]));
+            },
+            found->second);
+        return values;
+    }
+    const auto found = mesh.vertex_attributes.find(name);
+    if (found == mesh.vertex_attributes.end()) {
+        std::vector<std::string> there;
+        for (const auto& [n, v] : mesh.face_attributes) there.push_back(n);
+        for (const auto& [n, v] : mesh.vertex_attributes) there.push_back(n);
+        throw InvalidInput(
+            fmt::format("the mesh has no attribute '{}', it has: {}", name,
+                        there.empty() ? "none" : fmt::format("{}", fmt::join(there, ", "))));
+    }
+    std::visit(
+        [&](const auto& list) {
+            for (std::size_t i = 0; i < values.size(); ++i) {
+                const auto& t = mesh.triangles[sites.face[i]];
+                const Vec3d a(mesh.vertices[t[0]]),
+                    ab = Vec3d(mesh.vertices[t[1]]) - a, ac = Vec3d(mesh.vertices[t[2]]) - a,
+                    n = cross(ab, ac), p = Vec3d(sites.position[i]) - a;
+                const double size = dot(n, n), v = dot(cross(p, ac), n) / size,
+                             w = dot(cross(ab, p), n) / size;
+                values[i] = static_cast<float>((1 - v - w) * number(list, t[0]) +
+                                               v * number(list, t[1]) + w * number(list, t[2]));
+            }
+        },
+        found->second);
+    return values;
+}
+
+namespace {
+
+/// A face attribute of the old mesh on the faces it was divided into.
+TriMesh::Attribute carried(const TriMesh::Attribute& values, const std::vector<std::uint32_t>& face)
+{
+    return std::visit(
+        [&](const auto& list) -> TriMesh::Attribute {
+            std::decay_t<decltype(list)> more(face.size());
+            for (std::size_t i = 0; i < face.size(); ++i) more[i] = list[face[i]];
+            return more;
+        },
+        values);
+}
+
+}  // namespace
+
+void put_sites(Scene& scene, const MeshSites& sites, const TriMesh& was,
+               const std::vector<SiteField>& fields, const std::vector<std::int32_t>* geology,
+               const std::string& stage)
+{
+    TriMesh mesh = sites.mesh;
+    for (const auto& [name, values] : was.face_attributes)
+        mesh.face_attributes[name] = carried(values, sites.face);
+    Points points;
+    for (const Vec3f p : sites.position) points.position.emplace_back(p);
+    points.attributes = {{"N", sites.normal},
+                         {"area", sites.area},
+                         {"face", std::vector<std::int32_t>(sites.face.begin(), sites.face.end())}};
+    for (const SiteField& field : fields) {
+        mesh.face_attributes[field.name] = field.values;
+        points.attributes[field.name] = field.values;
+    }
+    if (geology) {
+        mesh.face_attributes["geology"] = *geology;
+        points.attributes["geology"] = *geology;
+    }
+    points.stage = stage;
+    scene.points["sites"] = std::move(points);
+    scene.meshes["rock"] = std::move(mesh);
+}
+
+void put_cells(Scene& scene, const MeshSites& sites, const std::vector<SiteField>& fields,
+               double cell, const std::string& stage, const Progress& progress)
+{
+    SurfaceCells cells;
+    const auto area = scene.grids.find("surf_area");
+    if (area != scene.grids.end() && area->second.stage != stage) {
+        cells = surface_cells(scene.floats("surface_sdf"), scene.vectors("surf_normal"),
+                              scene.floats("surf_area"), progress.slice(0, 0.5));
+    } else {
+        const Bounds bounds = sites.mesh.bounds();
+        FloatGrid level_set = level_set_from_mesh(
+            sites.mesh, Transform{bounds.lower - Vec3d(3 * cell), cell}, progress.slice(0, 0.4));
+        try {
+            cells = surface_cells(level_set, progress.slice(0.4, 0.5));
+        } catch (const InvalidInput&) {
+            log::warning("{}: the mesh encloses nothing at voxels of {:.3g} m: no grids", stage,
+                         cell);
+            return;
+        }
+        scene.put("surface_sdf", std::move(level_set), "m", stage, GridClass::LevelSet);
+        scene.put("surf_normal", cells.to_grid(cells.normal), "", stage, "covariant normalize");
+        scene.put("surf_area", cells.to_grid(cells.area), "m^2", stage);
+    }
+    const SurfaceTransfer transfer = sites_to_cells(sites, cells, progress.slice(0.5, 1));
+    for (const SiteField& field : fields)
+        scene.put(field.name, cells.to_grid(transfer.apply(field.values, 0)), field.unit, stage);
+}
+
+std::vector<std::string> site_items()
+{
+    return {"rock", "sites", "surface_sdf", "surf_normal", "surf_area"};
+}
+
+Exposure exposure_of(const MeshSites& sites, double latitude,
+                     const std::vector<light::RainWind>& winds, const Progress& progress)
+{
+    // Of the coefficients only what sky and rain see is wanted: few rays for the sun.
+    light::Params params;
+    params.sky_split = 1;
+    params.sun_rows = 2;
+    params.sun_bins = 64;
+    params.bounces = 0;
+    std::vector<Vec3d> origin(sites.size());
+    for (std::size_t i = 0; i < sites.size(); ++i)
+        origin[i] = Vec3d(sites.position[i]) + Vec3d(sites.normal[i]) * 1e-4;
+    const TriMesh* occluder = &sites.mesh;
+    light::Coefficients found = light::trace({origin, sites.normal, sites.area}, {&occluder, 1},
+                                             latitude, winds, params, progress);
+    return {std::move(found.sky_view), std::move(found.rain_exposure)};
+}
+
+std::vector<std::int32_t> geology_of(const TriMesh& mesh, const MeshSites& sites,
+                                     const MeshMossParams& params,
+                                     const std::filesystem::path& folder, const Progress& progress)
+{
+    const int own = geology_of_soil(params.climate.soil);
+    if (params.texture.empty() && !mesh.face_attributes.contains("geology"))
+        return std::vector<std::int32_t>(sites.size(), own);
+    std::optional<Image8> texture;
+    const std::filesystem::path file =
+        params.texture.is_absolute() ? params.texture : folder / params.texture;
+    if (!params.texture.empty()) texture = read_png_rgb8(file);
+    std::vector<std::int32_t> geology =
+        soil::geology(mesh, sites, texture ? &*texture : nullptr, soil::preset_soils(),
+                      params.geology, "the mesh", progress);
+    const int known = static_cast<int>(soil::preset_soils().size());
+    for (std::size_t i = 0; i < geology.size(); ++i) {
+        if (geology[i] == 0) geology[i] = own;
+        if (geology[i] != kOwnSoil && (geology[i] < 1 || geology[i] > known))
+            throw InvalidInput(fmt::format(
+                "the mesh's attribute geology: {} on face {}; expected 0 (the parameter soil), 1 "
+                "to {} or {}",
+                geology[i], sites.face[i], known, kOwnSoil));
+    }
+    return geology;
+}
+
+}  // namespace sekitei::apps
