@@ -137,7 +137,7 @@ struct Command {
     std::map<std::string, bool> flags;
     std::string stage, shell, text, at;
     bool dry_run = false, full = false, markdown = false;
-    std::string tolerance = "0";
+    std::string tolerance = "0", growth = "2";
     std::function<int(const Common&)> run;
 };
 
@@ -294,6 +294,33 @@ void add_tool_commands(CLI::App& program, Commands& commands)
         c.app->add_option("stage", c.stage, "one stage only")->type_name("STAGE");
         c.app->add_flag("--markdown", c.markdown, "as a reference page for people");
         c.run = [&c](const Common&) { return command_schema(c.stage, c.markdown); };
+    }
+    {
+        Command& c = add("tufts");
+        c.app->add_option("-o,--output", c.common.output, "existing folder to write into")
+            ->type_name("FOLDER")
+            ->required()
+            ->expected(1)
+            ->group("General");
+        c.app->add_flag("--force", c.common.force, "replace existing files")->group("General");
+        c.app
+            ->add_option("--species", c.files,
+                         "bryum, hypnum, polytrichum, grimmia; any other name: cushions; may be "
+                         "repeated (default: these four)")
+            ->type_name("NAME")
+            ->allow_extra_args(false);
+        c.app
+            ->add_option("--growth", c.growth,
+                         "of the moss: fewer shoots below 1.4 and 0.7, no capsules below 2 "
+                         "(number, 0 or larger; default 2)")
+            ->type_name("NUMBER");
+        c.run = [&c](const Common& common) {
+            const double growth = parse_quantity(c.growth, "");
+            if (growth < 0)
+                throw InvalidParameter(fmt::format("--growth {}: must be >= 0", c.growth));
+            if (c.files.empty()) c.files = {"bryum", "hypnum", "polytrichum", "grimmia"};
+            return command_tufts(c.files, growth, common);
+        };
     }
     {
         Command& c = add("completions");

@@ -41,6 +41,8 @@ int command_verify(const std::vector<std::string>& files, const Common& common);
 int command_explain(const std::string& file, const std::string& at, const Common& common);
 int command_schema(const std::string& stage, bool markdown);
 int command_completions(const std::string& shell);
+/// Writes the models of plants that `render` draws into the folder common.output names.
+int command_tufts(const std::vector<std::string>& species, double growth, const Common& common);
 
 /// One row of the program's own table of commands.
 struct CommandInfo {

@@ -325,7 +325,9 @@ Image8 run(const Stuff& stuff, const Params& params, std::uint64_t seed, const P
     const GardenLook look(stuff.pieces, seed, progress);
     std::vector<Tuft> moss = stuff.moss;
     lay_mats(moss, stuff.species, stuff.moss_size, mesh, rays);
-    const Tufts tufts(moss, stuff.species, stuff.moss_size, seed, progress);
+    const Camera camera = make_camera(params, bounds);
+    const Tufts tufts(moss, stuff.species, stuff.moss_size, seed,
+                      {camera.eye, 2 * camera.tan_y / params.height}, progress);
     const Sky sky = Sky::day(direction_of(params.sun_azimuth, params.sun_elevation),
                              params.sun_size / 2 * kDegree, params.turbidity, !params.ground);
     World world{.mesh = mesh,
@@ -333,7 +335,7 @@ Image8 run(const Stuff& stuff, const Params& params, std::uint64_t seed, const P
                 .normals = normals,
                 .look = look,
                 .sky = sky,
-                .camera = make_camera(params, bounds),
+                .camera = camera,
                 .ground = {},
                 .haze = params.haze.value_or(std::max(size, 1e-6) * 45),
                 .hills = params.hills && params.ground,

@@ -13,27 +13,45 @@
 namespace sekitei::render {
 namespace {
 
-/// Colours of a species: of the shaded foot, of leaves, of young tips, of capsules.
+/// Colours of a species: of the shaded foot, of leaves, of young tips, of leaves that are dry.
 struct Palette {
     std::string_view name;
-    Vec3f foot, leaf, tip;
+    Vec3f foot, leaf, tip, straw;
     float transmit;  ///< share of the colour that shines through
 };
 constexpr std::array<Palette, 5> kPalettes{{
-    {"bryum", {0.040f, 0.045f, 0.012f}, {0.105f, 0.155f, 0.024f}, {0.300f, 0.370f, 0.070f}, 0.45f},
-    {"hypnum", {0.060f, 0.048f, 0.014f}, {0.120f, 0.148f, 0.025f}, {0.315f, 0.335f, 0.056f}, 0.45f},
+    {"bryum",
+     {0.040f, 0.045f, 0.012f},
+     {0.105f, 0.155f, 0.024f},
+     {0.300f, 0.370f, 0.070f},
+     {0.380f, 0.335f, 0.150f},
+     0.45f},
+    {"hypnum",
+     {0.060f, 0.048f, 0.014f},
+     {0.120f, 0.148f, 0.025f},
+     {0.315f, 0.335f, 0.056f},
+     {0.400f, 0.330f, 0.120f},
+     0.45f},
     {"polytrichum",
      {0.050f, 0.028f, 0.014f},
      {0.040f, 0.098f, 0.026f},
      {0.105f, 0.205f, 0.050f},
+     {0.300f, 0.245f, 0.105f},
      0.30f},
     {"grimmia",
      {0.028f, 0.032f, 0.020f},
      {0.092f, 0.108f, 0.066f},
      {0.215f, 0.235f, 0.165f},
+     {0.290f, 0.275f, 0.200f},
      0.20f},
-    {"", {0.038f, 0.045f, 0.014f}, {0.120f, 0.175f, 0.035f}, {0.280f, 0.340f, 0.080f}, 0.40f},
+    {"",
+     {0.038f, 0.045f, 0.014f},
+     {0.120f, 0.175f, 0.035f},
+     {0.280f, 0.340f, 0.080f},
+     {0.380f, 0.335f, 0.150f},
+     0.40f},
 }};
+constexpr Vec3f kBrown{0.095f, 0.055f, 0.022f};  // of old leaves
 constexpr Vec3f kHair{0.46f, 0.46f, 0.42f};
 constexpr Vec3f kStalk{0.165f, 0.062f, 0.022f};
 
@@ -54,10 +72,32 @@ float smooth(float low, float high, float x)
     return t * t * (3 - 2 * t);
 }
 
+/// How a plant departs from its palette, which is that of half a year's moist growth: each 0..1.
+struct Condition {
+    float young = 0, old = 0, dry = 0, soaked = 0;
+};
+
+/// @param height  along the shoot, as in TuftShape
+Vec3f leaf_colour(const Palette& of, const Condition& is, float height)
+{
+    const Vec3f fresh{of.tip.x * 0.92f, of.tip.y * 1.16f, of.tip.z * 0.90f};
+    const Vec3f leaf = mix(of.leaf, fresh, 0.40f * is.young);
+    const Vec3f tip = mix(mix(of.tip, fresh, is.young), of.leaf, 0.35f * is.old);
+    Vec3f colour = mix(of.foot, leaf, smooth(0.0f, 0.5f, height));
+    colour = mix(colour, tip, smooth(0.45f, 1.0f, height));
+    // Brown climbs from the foot.
+    colour = mix(colour, kBrown, 0.8f * is.old * (1 - smooth(0.2f, 0.9f, height)));
+    colour = mix(colour, of.straw * (0.3f + 0.7f * height), 0.65f * is.dry);
+    const Vec3f deep = mix(Vec3f(1), Vec3f(0.60f, 0.72f, 0.55f), is.soaked);
+    return {colour.x * deep.x, colour.y * deep.y, colour.z * deep.z};
+}
+
 struct Placed {
     Vec3f x, y, z;  // images of the plant's axes, with its scale
     Vec3f position;
     std::uint32_t shape = 0;
+    Vec3f tint;
+    Condition state;
     Vec3f world(Vec3f p) const { return position + x * p.x + y * p.y + z * p.z; }
     Vec3f turned(Vec3f v) const { return normalized(x * v.x + y * v.y + z * v.z); }
 };
@@ -73,6 +113,10 @@ Placed placed(const Tuft& t, std::size_t i, double size)
             "render: moss {} at ({}, {}, {}) m with scale {} and orient ({}, {}, {}, {}), must be "
             "finite, with an orientation",
             i, t.position.x, t.position.y, t.position.z, t.scale, qx, qy, qz, qw));
+    if (!(std::isfinite(t.growth) && std::isfinite(t.wetness)))
+        throw InvalidInput(
+            fmt::format("render: moss {} has growth {} and wetness {}, must be finite", i, t.growth,
+                        t.wetness));
     const double s = size * static_cast<double>(t.scale) / norm;
     const double x = qx, y = qy, z = qz, w = qw;
     Placed p;
@@ -80,16 +124,49 @@ Placed placed(const Tuft& t, std::size_t i, double size)
     p.y = Vec3f(Vec3d(2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)) * s);
     p.z = Vec3f(Vec3d(2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z) * s);
     p.position = Vec3f(t.position);
+    const auto age = static_cast<float>(std::max(t.age, 0)), turned = age / (age + 180);
+    p.state = {std::max(0.0f, 1 - 2 * turned), std::max(0.0f, 2 * turned - 1),
+               1 - smooth(0.35f, 0.80f, t.wetness), smooth(0.80f, 1.0f, t.wetness)};
+    // Shoots draw together as they dry.
+    p.x *= 1 - 0.12f * p.state.dry;
+    p.z *= 1 - 0.12f * p.state.dry;
     return p;
+}
+
+/// Where a plant's mesh stands among those of all species.
+std::uint32_t slot(const Tuft& t, const TuftModel& which)
+{
+    int i = t.species - 1;
+    i = i * kTuftModels + which.model;
+    i = i * kTuftLods + which.lod;
+    i = i * kTuftDensities + which.density;
+    return static_cast<std::uint32_t>(2 * i + (t.growth >= kRipe ? 1 : 0));
+}
+constexpr std::size_t kSlots = 2 * kTuftModels * kTuftLods * kTuftDensities;  // of a species
+
+TuftShape with_capsules(TuftShape shape, const TuftShape& more)
+{
+    const auto first = static_cast<std::uint32_t>(shape.vertices.size());
+    auto append = [](auto& list, const auto& tail) {
+        list.insert(list.end(), tail.begin(), tail.end());
+    };
+    append(shape.vertices, more.vertices);
+    append(shape.normals, more.normals);
+    append(shape.height, more.height);
+    append(shape.tone, more.tone);
+    for (auto t : more.triangles) {
+        for (std::uint32_t& v : t) v += first;
+        shape.triangles.push_back(t);
+    }
+    return shape;
 }
 
 }  // namespace
 
 struct Tufts::State {
-    std::vector<TuftShape> shapes;  // kTuftVariants a species
+    std::vector<TuftShape> shapes;  // kSlots a species, made when first needed
     std::vector<std::string> species;
     std::vector<Placed> placed;
-    std::vector<Vec3f> tint;  // of each plant
     std::uint64_t key = 0;
     double size = 1;
     std::size_t triangles = 0;
@@ -121,8 +198,9 @@ void Tufts::State::build(const Progress& progress)
         },
         &bytes);
     for (const TuftShape& shape : shapes) {
-        RTCScene prototype = rtcNewScene(device);
-        prototypes.push_back(prototype);
+        prototypes.push_back(nullptr);
+        if (shape.triangles.empty()) continue;
+        RTCScene prototype = prototypes.back() = rtcNewScene(device);
         rtcSetSceneFlags(prototype, RTC_SCENE_FLAG_ROBUST);
         RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
         void* points =
@@ -163,16 +241,14 @@ void Tufts::State::build(const Progress& progress)
 }
 
 Tufts::Tufts(const std::vector<Tuft>& tufts, const std::vector<std::string>& species, double size,
-             std::uint64_t seed, const Progress& progress)
+             std::uint64_t seed, const TuftView& view, const Progress& progress)
     : state_(std::make_unique<State>())
 {
     State& s = *state_;
     s.species = species;
     s.size = size;
     s.key = hash2(seed, Stream("render.tufts").id);
-    for (const std::string& name : species)
-        for (int variant = 0; variant < kTuftVariants; ++variant)
-            s.shapes.push_back(tuft_shape(name, variant));
+    s.shapes.resize(species.size() * kSlots);
     for (std::size_t i = 0; i < tufts.size(); ++i) {
         const Tuft& t = tufts[i];
         Placed p = placed(t, i, size);
@@ -180,22 +256,30 @@ Tufts::Tufts(const std::vector<Tuft>& tufts, const std::vector<std::string>& spe
             throw InvalidInput(fmt::format("render: moss {} is of species {}, must be 1 to {}", i,
                                            t.species, species.size()));
         if (!(t.scale > 0)) continue;
-        // One plant in twelve bears capsules.
-        const double which = uniform_of_key(s.key, i * 4);
-        const int variant = which < 1.0 / 12 ? kTuftVariants - 1
-                                             : static_cast<int>(which * 997) % (kTuftVariants - 1);
-        p.shape = static_cast<std::uint32_t>((t.species - 1) * kTuftVariants + variant);
+        const std::uint64_t own = 4 * (t.id >= 0 ? static_cast<std::uint64_t>(t.id) : i);
+        TuftModel which;
+        which.model = static_cast<int>(uniform_of_key(s.key, own) * kTuftModels);
+        which.density = tuft_density(t.growth);
+        const double far = length(t.position - view.eye) * view.pixel;
+        which.lod = tuft_lod(far > 0 ? size * static_cast<double>(t.scale) / far : INFINITY);
+        p.shape = slot(t, which);
+        if (TuftShape& shape = s.shapes[p.shape]; shape.triangles.empty()) {
+            const std::string& name = species[static_cast<std::size_t>(t.species - 1)];
+            shape = tuft_shape(name, which);
+            if (t.growth >= kRipe)
+                shape = with_capsules(std::move(shape), tuft_capsules(name, which));
+        }
         s.triangles += s.shapes[p.shape].triangles.size();
         // Brighter or darker, yellower or bluer: each by itself, and in patches.
         auto patch = [&](std::uint64_t k, double wavelength) {
             return gradient_noise(hash2(s.key, k), Vec3d(t.position) / (size * wavelength));
         };
         const double bright =
-            1 + 0.30 * (uniform_of_key(s.key, i * 4 + 1) - 0.5) + 0.45 * patch(1, 9);
-        const double warm = 0.22 * (uniform_of_key(s.key, i * 4 + 2) - 0.5) + 0.55 * patch(2, 14) +
+            1 + 0.30 * (uniform_of_key(s.key, own + 1) - 0.5) + 0.45 * patch(1, 9);
+        const double warm = 0.22 * (uniform_of_key(s.key, own + 2) - 0.5) + 0.55 * patch(2, 14) +
                             0.25 * patch(3, 4);
-        s.tint.push_back(Vec3f(Vec3d(bright * (1 + 0.36 * warm), bright * (1 + 0.06 * warm),
-                                     bright * (1 - 0.4 * warm))));
+        p.tint = Vec3f(Vec3d(bright * (1 + 0.36 * warm), bright * (1 + 0.06 * warm),
+                             bright * (1 - 0.4 * warm)));
         s.placed.push_back(p);
     }
     if (!s.placed.empty()) s.build(progress);
@@ -261,22 +345,18 @@ Material Tufts::material(const TuftHit& hit, const SurfacePoint& point) const
         return values[t[0]] * (1 - hit.u - hit.v) + values[t[1]] * hit.u + values[t[2]] * hit.v;
     };
     const float height = at(shape.height), tone = shape.tone[t[0]];
-    const std::string& species = state_->species[p.shape / kTuftVariants];
-    const Palette& of = palette(species);
+    const Palette& of = palette(state_->species[p.shape / kSlots]);
 
     Material m;
     m.normal = point.normal;
-    m.roughness = 0.55f;
-    m.specular = point.seen ? 0.35f : 0;
+    m.roughness = 0.55f + 0.20f * p.state.dry - 0.20f * p.state.soaked;
+    m.specular = point.seen ? 0.35f - 0.20f * p.state.dry + 0.35f * p.state.soaked : 0;
     if (height > 1.5f) {
         m.albedo = kStalk * (1 + 0.5f * tone);
         return m;
     }
-    Vec3f colour = mix(of.foot, of.leaf, smooth(0.0f, 0.5f, height));
-    colour = mix(colour, of.tip, smooth(0.45f, 1.0f, height));
-    colour *= 1 + 0.22f * tone;
-    const Vec3f tint = state_->tint[hit.tuft];
-    colour = {colour.x * tint.x, colour.y * tint.y, colour.z * tint.z};
+    Vec3f colour = leaf_colour(of, p.state, height) * (1 + 0.22f * tone);
+    colour = {colour.x * p.tint.x, colour.y * p.tint.y, colour.z * p.tint.z};
     if (height > 1.1f) colour = kHair;
     for (int i = 0; i < 3; ++i) colour[i] = std::clamp(colour[i], 0.006f, 0.7f);
     m.albedo = colour;
@@ -286,7 +366,8 @@ Material Tufts::material(const TuftHit& hit, const SurfacePoint& point) const
 
 std::size_t Tufts::memory_bytes() const
 {
-    return static_cast<std::size_t>(std::max<std::int64_t>(0, state_->bytes.load()));
+    return static_cast<std::size_t>(std::max<std::int64_t>(0, state_->bytes.load())) +
+           state_->placed.capacity() * sizeof(Placed);
 }
 
 std::size_t Tufts::triangles() const

@@ -5,6 +5,7 @@
 
 #include "apps/stages/stages.h"
 #include "core/error.h"
+#include "core/parallel.h"
 
 namespace sekitei::apps {
 namespace {
@@ -19,14 +20,6 @@ struct ExportParams {
 };
 
 static_assert(std::endian::native == std::endian::little, "PLY is written as it lies in memory");
-
-template <class T>
-void put(std::string& bytes, T value)
-{
-    char raw[sizeof(T)];
-    std::memcpy(raw, &value, sizeof(T));
-    bytes.append(raw, sizeof(T));
-}
 
 /// How an attribute's values stand in a PLY file: properties of one type, several for vectors.
 struct Property {
@@ -56,39 +49,62 @@ Property property_of(const std::string& name, const Points::Attribute& values)
     return std::visit(Visitor{name}, values);
 }
 
+template <class T>
+void put(char* to, const T& value)
+{
+    if constexpr (std::is_same_v<T, std::int64_t>) {
+        const auto number = static_cast<double>(value);
+        std::memcpy(to, &number, sizeof number);
+    } else
+        std::memcpy(to, &value, sizeof value);
+}
+
 }  // namespace
 
-std::string encode_points(const Points& points)
+std::string encode_points(const Points& points, const Progress& progress)
 {
-    std::string header = fmt::format(
+    const std::size_t count = points.position.size();
+    std::string bytes = fmt::format(
         "ply\nformat binary_little_endian 1.0\ncomment metres, z up\nelement vertex {}\n"
         "property double x\nproperty double y\nproperty double z\n",
-        points.position.size());
+        count);
+    std::size_t row = 3 * sizeof(double);
+    std::vector<std::pair<std::size_t, const Points::Attribute*>> columns;  // by place in the row
     for (const auto& [name, values] : points.attributes) {
         const Property property = property_of(name, values);
         for (const std::string& part : property.names)
-            header += fmt::format("property {} {}\n", property.type, part);
+            bytes += fmt::format("property {} {}\n", property.type, part);
+        columns.emplace_back(row, &values);
+        std::visit(
+            [&](const auto& list) {
+                if (list.size() != count)
+                    throw InvalidInput(
+                        fmt::format("export: attribute {} has {} values, must have {}", name,
+                                    list.size(), count));
+                row += sizeof(list[0]);  // as long in the file as in memory
+            },
+            values);
     }
-    std::string bytes = header + "end_header\n";
-    for (std::size_t i = 0; i < points.position.size(); ++i) {
-        for (int axis = 0; axis < 3; ++axis) put(bytes, points.position[i][axis]);
-        for (const auto& [name, values] : points.attributes)
-            std::visit(
-                [&](const auto& list) {
-                    using T = typename std::decay_t<decltype(list)>::value_type;
-                    if constexpr (std::is_same_v<T, std::int64_t>)
-                        put(bytes, static_cast<double>(list[i]));
-                    else if constexpr (std::is_arithmetic_v<T>)
-                        put(bytes, list[i]);
-                    else if constexpr (std::is_same_v<T, Vec3f>) {
-                        put(bytes, list[i].x);
-                        put(bytes, list[i].y);
-                        put(bytes, list[i].z);
-                    } else
-                        for (const float part : list[i]) put(bytes, part);
-                },
-                values);
-    }
+    bytes += "end_header\n";
+    const std::size_t first = bytes.size();
+    bytes.resize(first + count * row);
+    parallel_for_range(
+        count,
+        [&](std::size_t begin, std::size_t end) {
+            progress.check();
+            char* const rows = bytes.data() + first;
+            for (std::size_t i = begin; i < end; ++i)
+                for (int axis = 0; axis < 3; ++axis)
+                    put(rows + i * row + static_cast<std::size_t>(axis) * sizeof(double),
+                        points.position[i][axis]);
+            for (const auto& [place, values] : columns)
+                std::visit(
+                    [&, at = place](const auto& list) {
+                        for (std::size_t i = begin; i < end; ++i) put(rows + i * row + at, list[i]);
+                    },
+                    *values);
+        },
+        1 << 14);
     return bytes;
 }
 
@@ -117,10 +133,10 @@ public:
     {
         return {0, 1e8, outline.surface_cells * 80};
     }
-    Json run(Scene& scene, const StageContext&) override
+    Json run(Scene& scene, const StageContext& context) override
     {
         const Points& points = scene.points_of(params_.points);
-        table = encode_points(points);
+        table = encode_points(points, context.progress);
         return {{"points", points.position.size()}};
     }
 

@@ -9,7 +9,7 @@
 namespace sekitei::apps {
 
 /// Points as binary PLY: x y z as doubles, then every attribute.
-std::string encode_points(const Points& points);
+std::string encode_points(const Points& points, const Progress& progress = {});
 
 std::unique_ptr<Stage> make_lava();
 std::unique_ptr<Stage> make_cool();

@@ -53,130 +53,6 @@ std::vector<Tuft> scattered(int count)
     return tufts;
 }
 
-/// A plant's triangles in the world, by the rotation's own formula v + 2 q x (q x v + w v).
-TriMesh grown(const Tuft& t, const TuftShape& shape, double size)
-{
-    TriMesh mesh;
-    const Vec3d q(static_cast<double>(t.orient[0]), static_cast<double>(t.orient[1]),
-                  static_cast<double>(t.orient[2]));
-    const auto w = static_cast<double>(t.orient[3]);
-    for (const Vec3f& p : shape.vertices) {
-        const Vec3d v = Vec3d(p) * (size * static_cast<double>(t.scale));
-        mesh.vertices.push_back(Vec3f(t.position + v + cross(q, cross(q, v) + v * w) * 2.0));
-    }
-    mesh.triangles = shape.triangles;
-    return mesh;
-}
-
-TEST(Tufts, ShapesAreSoundAndStandOnTheirFoot)
-{
-    for (const std::string name : {"bryum", "hypnum", "polytrichum", "grimmia", "another"})
-        for (int variant = 0; variant < kTuftVariants; ++variant) {
-            SCOPED_TRACE(name + std::to_string(variant));
-            const TuftShape shape = tuft_shape(name, variant);
-            EXPECT_GT(shape.triangles.size(), 300u);
-            EXPECT_LT(shape.triangles.size(), 2500u);
-            ASSERT_EQ(shape.normals.size(), shape.vertices.size());
-            ASSERT_EQ(shape.height.size(), shape.vertices.size());
-            ASSERT_EQ(shape.tone.size(), shape.vertices.size());
-            float top = 0, bottom = 0, wide = 0;
-            for (const Vec3f& v : shape.vertices) {
-                top = std::max(top, v.y);
-                bottom = std::min(bottom, v.y);
-                wide = std::max(wide, std::sqrt(v.x * v.x + v.z * v.z));
-            }
-            EXPECT_GT(top, 0.1f);
-            EXPECT_LT(top, 1.8f);
-            EXPECT_LT(bottom, -0.05f);  // rooted, so that slopes show no gap
-            EXPECT_GT(bottom, -0.5f);
-            EXPECT_GT(wide, 0.35f);
-            EXPECT_LT(wide, 0.85f);
-            for (const auto& t : shape.triangles)
-                for (const std::uint32_t v : t) ASSERT_LT(v, shape.vertices.size());
-            for (const Vec3f& n : shape.normals) ASSERT_NEAR(length(n), 1, 1e-5f);
-        }
-    EXPECT_NE(tuft_shape("bryum", 0).vertices, tuft_shape("bryum", 1).vertices);
-    EXPECT_NE(tuft_shape("bryum", 0).vertices, tuft_shape("grimmia", 0).vertices);
-}
-
-TEST(Tufts, RaysMeetCopiesWhereTheyMeetTheSameTrianglesUncopied)
-{
-    constexpr double kSize = 0.037;
-    const auto tufts = scattered(60);
-    const Tufts copies(tufts, kSpecies, kSize, 9);
-    // Which variant a plant has shows in what its rays meet: try all four for each.
-    std::vector<std::vector<TriMesh>> meshes(tufts.size());
-    for (std::size_t i = 0; i < tufts.size(); ++i)
-        for (int variant = 0; variant < kTuftVariants; ++variant)
-            meshes[i].push_back(
-                grown(tufts[i],
-                      tuft_shape(kSpecies[static_cast<std::size_t>(tufts[i].species - 1)], variant),
-                      kSize));
-    int met = 0;
-    constexpr Stream kRay{"test.ray"};
-    for (std::uint64_t r = 0; r < 2000; ++r) {
-        const Vec3f origin(
-            Vec3d(0.3 * uniform01(2, kRay, r, 0), 0.2 * uniform01(2, kRay, r, 1), 1));
-        const Vec3f direction = normalized(
-            Vec3f(Vec3d(uniform01(2, kRay, r, 2) - 0.5, uniform01(2, kRay, r, 3) - 0.5, -1.3)));
-        TuftHit hit;
-        const bool any = copies.intersect(origin, direction, 9, hit);
-        EXPECT_EQ(any, copies.occluded(origin, direction, 9));
-        if (!any) continue;
-        ++met;
-        Vec3f position, geometric, soft;
-        copies.place(hit, position, geometric, soft);
-        const auto distance = static_cast<float>(hit.distance);
-        EXPECT_LT(length(position - (origin + direction * distance)), 2e-6f);
-        EXPECT_FALSE(copies.occluded(origin, direction, distance * 0.9999f));
-        bool found = false;
-        for (const TriMesh& mesh : meshes[hit.tuft]) {
-            if (hit.triangle >= mesh.triangles.size()) continue;
-            const auto& t = mesh.triangles[hit.triangle];
-            const Vec3f a = mesh.vertices[t[0]], b = mesh.vertices[t[1]], c = mesh.vertices[t[2]];
-            const Vec3f p = a * (1 - hit.u - hit.v) + b * hit.u + c * hit.v;
-            found = found || (length(p - position) < 2e-6f &&
-                              dot(normalized(cross(b - a, c - a)), geometric) > 0.99f);
-        }
-        EXPECT_TRUE(found) << r;
-    }
-    EXPECT_GT(met, 300);
-}
-
-TEST(Tufts, SpeciesHaveTheirOwnColours)
-{
-    std::vector<Vec3d> mean;
-    for (std::int32_t species = 1; species <= 4; ++species) {
-        Tuft t;
-        t.orient = upright(0.3);
-        t.species = species;
-        std::vector<Tuft> plants;
-        for (int i = 0; i < 40; ++i) {
-            t.position = Vec3d(0.03 * i, 0.01 * i, 0);
-            plants.push_back(t);
-        }
-        const Tufts tufts(plants, kSpecies, 0.03, 3);
-        Vec3d sum;
-        double count = 0;
-        for (int i = 0; i < 3000; ++i) {
-            TuftHit hit;
-            const Vec3f origin(Vec3d(0.0004 * i, 0.00013 * i, 0.2));
-            if (!tufts.intersect(origin, {0.05f, 0.02f, -1}, 1, hit)) continue;
-            SurfacePoint p;
-            tufts.place(hit, p.position, p.normal, p.normal);
-            sum += Vec3d(tufts.material(hit, p).albedo);
-            ++count;
-        }
-        ASSERT_GT(count, 500);
-        mean.push_back(sum / count);
-    }
-    for (const Vec3d& c : mean) EXPECT_GT(c.y, c.z * 1.15);   // none is blue
-    EXPECT_GT(mean[1].x / mean[1].y, mean[0].x / mean[0].y);  // hypnum is more golden than bryum
-    EXPECT_LT(mean[2].x / mean[2].y, 0.75);                   // polytrichum green
-    EXPECT_LT(mean[2].y, mean[0].y);                          // and darker
-    EXPECT_GT(mean[3].z / mean[3].y, 1.3 * mean[0].z / mean[0].y);  // grimmia greyer
-}
-
 Params small()
 {
     Params params;
@@ -392,6 +268,22 @@ TEST(Garden, PlantsComeFromPoints)
     EXPECT_EQ(tufts[1].orient[3], 0.5f);
     EXPECT_EQ(tufts[0].scale, 0.25f);
     EXPECT_EQ(tufts[0].species, 3);
+    EXPECT_EQ(tufts[0].growth, 0.5f);  // as its size says
+    EXPECT_LT(tufts[1].growth, 2);     // never ripe unknown to its points
+    EXPECT_EQ(tufts[1].age, Tuft().age);
+    points.attributes["growth"] = std::vector<float>{0.5f, 3.25f};
+    points.attributes["wetness"] = std::vector<float>{0.25f, 1};
+    points.attributes["age"] = std::vector<std::int32_t>{4, 700};
+    points.attributes["id"] = std::vector<std::int64_t>{11, 1LL << 40};
+    const Tuft grown = tufts_of(points)[1];
+    EXPECT_EQ(grown.growth, 3.25f);
+    EXPECT_EQ(grown.wetness, 1);
+    EXPECT_EQ(grown.age, 700);
+    EXPECT_EQ(grown.id, 1LL << 40);
+    points.attributes["age"] = std::vector<float>{4, 700};
+    EXPECT_THAT([&] { tufts_of(points); },
+                ThrowsMessage<InvalidInput>(
+                    "render: attribute age of moss is of another type, must be int32"));
 }
 
 TEST(Garden, WhatCannotBeDrawnIsNamed)
