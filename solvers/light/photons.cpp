@@ -27,23 +27,33 @@ constexpr std::size_t kChunk = 2048;
 
 constexpr Stream kSunPhoton{"photons.sun"}, kSkyPhoton{"photons.sky"}, kBounce{"photons.bounce"};
 
-/// The draws of one photon, by number.
+/// The draws of all photons of a stream on a day: uniform01(hash2(seed, day), stream, photon, k),
+/// with what they have in common worked out once.
 class Draws {
 public:
-    Draws(std::uint64_t seed_of_day, Stream stream, std::uint64_t photon)
-        : key_(hash2(hash2(seed_of_day, stream.id), photon))
+    Draws(std::uint64_t seed, std::uint64_t day, Stream stream)
+        : base_(mix64(hash2(hash2(seed, day), stream.id)))
     {
     }
-    double operator()(std::uint64_t number) const { return uniform_of_key(key_, number); }
+    class OfPhoton {
+    public:
+        explicit OfPhoton(std::uint64_t base) : base_(base) {}
+        double operator()(std::uint64_t k) const
+        {
+            return static_cast<double>(mix64(base_ + k) >> 11) * 0x1p-53;
+        }
+
+    private:
+        std::uint64_t base_;
+    };
+    OfPhoton operator[](std::uint64_t photon) const
+    {
+        return OfPhoton(mix64(mix64(base_ + photon)));
+    }
 
 private:
-    std::uint64_t key_;
+    std::uint64_t base_;
 };
-
-std::uint64_t seed_of_day(std::uint64_t seed, std::uint64_t day)
-{
-    return hash2(seed, day);
-}
 
 void check_albedo(double albedo, const char* whose)
 {
@@ -99,8 +109,7 @@ struct Sun {
             upto.push_back(irradiance);
         }
         if (!(day.sky >= 0 && std::isfinite(day.sky)))
-            throw InvalidInput(
-                fmt::format("photons: sky = {:.6g} W/m^2, must be >= 0", day.sky));
+            throw InvalidInput(fmt::format("photons: sky = {:.6g} W/m^2, must be >= 0", day.sky));
     }
     Vec3d draw(double u) const
     {
@@ -110,16 +119,228 @@ struct Sun {
     }
 };
 
-/// Enters along `direction` through the disc that covers the scene.
-Emitted through_disc(const PhotonScene& scene, Vec3d direction, double u, double v)
+/// Makes photon i of a day.
+class Emitter {
+public:
+    Emitter(const PhotonScene& scene, const Daylight& day, const PhotonParams& params,
+            std::uint64_t seed, std::uint64_t number_of_day)
+        : sun_(day),
+          kind_(params.sun_light),
+          centre_(scene.centre()),
+          radius_(scene.radius()),
+          square_(square_of(params, scene.radius())),
+          sun_draws_(seed, number_of_day, kSunPhoton),
+          sky_draws_(seed, number_of_day, kSkyPhoton)
+    {
+        validate(params);
+        check_square(params, radius_);
+        // Share photons by the power that enters the scene's ball.
+        const double disc = kPi * radius_ * radius_;
+        const double sun_power = sun_.irradiance * disc, sky_power = 2 * day.sky * disc;
+        const auto all = static_cast<std::uint64_t>(params.photons);
+        if (sun_power > 0 && sky_power > 0) {
+            const double share = sun_power / (sun_power + sky_power);
+            suns_ = static_cast<std::uint64_t>(static_cast<double>(all) * share + 0.5);
+            suns_ = std::clamp<std::uint64_t>(suns_, 1, std::max<std::uint64_t>(1, all - 1));
+            skies_ = std::max<std::uint64_t>(1, all - suns_);
+        } else if (sun_power + sky_power > 0)
+            (sun_power > 0 ? suns_ : skies_) = all;
+        if (skies_ > 0) sky_flux_ = static_cast<float>(sky_power / static_cast<double>(skies_));
+        if (suns_ == 0) return;
+        sun_flux_ = static_cast<float>(sun_power / static_cast<double>(suns_));
+        lamp_power_ = square_exitance(sun_.irradiance, square_.half, square_.distance) * 4 *
+                      square_.half * square_.half;
+        // Directions farther off the lamp's axis than this miss the scene from all over the lamp.
+        const double d2 = square_.distance * square_.distance, r2 = radius_ * radius_;
+        if (kind_ == SunLight::Parallel || !(d2 > r2)) return;
+        const double widest = math::atan2(square_.half * std::sqrt(2.0), square_.distance) +
+                              math::atan2(radius_, std::sqrt(d2 - r2));
+        const double cosine = widest < kPi / 2 ? math::cos(widest) * (1 - 1e-9) : 0;
+        least_u_ = cosine * cosine;
+    }
+
+    std::uint64_t suns() const { return suns_; }
+    std::uint64_t count() const { return suns_ + skies_; }
+    /// The flux of photons of a lamp whose directions were drawn so often.
+    float lamp_flux(std::uint64_t tries) const
+    {
+        return static_cast<float>(lamp_power_ / static_cast<double>(tries));
+    }
+    /// Photon i, those of the sun first; counts directions drawn. Photons of a square lamp have no
+    /// flux yet.
+    Emitted operator()(std::uint64_t i, std::uint64_t& tries) const
+    {
+        if (i >= suns_) return from_sky(sky_draws_[i - suns_]);
+        const auto draw = sun_draws_[i];
+        if (kind_ == SunLight::Square) return from_lamp(draw, tries);
+        ++tries;
+        return kind_ == SunLight::Parallel ? straight(draw) : aimed(draw);
+    }
+
+private:
+    /// Enters along `direction` through the disc that covers the scene.
+    Emitted through_disc(Vec3d direction, double u, double v) const
+    {
+        const Frame frame(direction);
+        const Turn turn(v);
+        const double off = radius_ * std::sqrt(u);
+        const Vec3d origin = centre_ - direction * (2 * radius_) + frame.a * (off * turn.cosine) +
+                             frame.b * (off * turn.sine);
+        return {Vec3f(origin), Vec3f(direction), 0, Source::Sun};
+    }
+    Emitted straight(const Draws::OfPhoton& draw) const
+    {
+        static const double cap = cap_of_cone(kSunRadius);
+        const Vec3d towards = cap_direction(Frame(sun_.draw(draw(0))), cap, draw(1), draw(2));
+        Emitted photon = through_disc(-towards, draw(3), draw(4));
+        photon.flux = sun_flux_;
+        return photon;
+    }
+    Emitted from_sky(const Draws::OfPhoton& draw) const
+    {
+        const Vec3d towards = cap_direction(Frame(Vec3d(0, 0, 1)), 1, draw(0), draw(1));
+        Emitted photon = through_disc(-towards, draw(2), draw(3));
+        photon.flux = sky_flux_;
+        photon.source = Source::Sky;
+        return photon;
+    }
+    Vec3d on_lamp(const Frame& frame, double u, double v) const
+    {
+        return centre_ - frame.n * square_.distance + frame.a * (square_.half * (2 * u - 1)) +
+               frame.b * (square_.half * (2 * v - 1));
+    }
+    Emitted from_lamp(const Draws::OfPhoton& draw, std::uint64_t& tries) const
+    {
+        // The place on the lamp is drawn again with the direction: kept, as in the source, it would
+        // make places that see less of the scene send as much as others.
+        for (std::uint64_t k = 0;; k += 5) {
+            ++tries;
+            const double u = draw(k);
+            if (u < least_u_) continue;
+            const Frame frame(-sun_.draw(draw(k + 1)));
+            const Vec3d origin = on_lamp(frame, draw(k + 3), draw(k + 4));
+            const Vec3d direction = cosine_direction(frame, u, draw(k + 2));
+            const Vec3d to_centre = centre_ - origin;
+            const double along = dot(to_centre, direction);
+            if (along > 0 && dot(to_centre, to_centre) - along * along <= radius_ * radius_)
+                return {Vec3f(origin), Vec3f(direction), 0, Source::Sun};
+        }
+    }
+    Emitted aimed(const Draws::OfPhoton& draw) const
+    {
+        const Frame frame(-sun_.draw(draw(0)));
+        const Vec3d origin = on_lamp(frame, draw(1), draw(2));
+        const Vec3d to_centre = centre_ - origin;
+        const double d2 = dot(to_centre, to_centre), sine2 = radius_ * radius_ / d2;
+        const double cap = sine2 / (1 + std::sqrt(1 - sine2));  // 1 - cos, without cancellation
+        const Vec3d direction =
+            cap_direction(Frame(to_centre / std::sqrt(d2)), cap, draw(3), draw(4));
+        const double cosine = std::max(0.0, dot(direction, frame.n));
+        const double flux = lamp_power_ * cosine * 2 * cap / static_cast<double>(suns_);
+        return {Vec3f(origin), Vec3f(direction), static_cast<float>(flux), Source::Sun};
+    }
+
+    Sun sun_;
+    SunLight kind_;
+    Vec3d centre_;
+    double radius_;
+    Square square_;
+    Draws sun_draws_, sky_draws_;
+    std::uint64_t suns_ = 0, skies_ = 0;
+    float sun_flux_ = 0, sky_flux_ = 0;
+    double lamp_power_ = 0, least_u_ = 0;
+};
+
+/// Follows photons source(i, tries) for i < count.
+template <class Sourced>
+Shot follow(const PhotonScene& scene, std::size_t count, const Sourced& source, bool indirect,
+            std::uint64_t seed, std::uint64_t day, const Progress& progress)
 {
-    const double radius = scene.radius();
-    const Frame frame(direction);
-    const Turn turn(v);
-    const double off = radius * std::sqrt(u);
-    const Vec3d origin = scene.centre() - direction * (2 * radius) + frame.a * (off * turn.cosine) +
-                         frame.b * (off * turn.sine);
-    return {Vec3f(origin), Vec3f(direction), 0, Source::Sun};
+    const Draws draws(seed, day, kBounce);
+    const std::size_t chunks = (count + kChunk - 1) / kChunk;
+    std::vector<std::vector<Photon>> stored(chunks);
+    std::vector<Ledger> ledgers(chunks);
+    parallel_for(chunks, [&](std::size_t c) {
+        progress.check();
+        std::vector<Photon>& out = stored[c];
+        out.reserve(kChunk);
+        Ledger sum;
+        for (std::size_t i = c * kChunk; i < std::min(count, (c + 1) * kChunk); ++i) {
+            const auto draw = draws[i];
+            const Emitted photon = source(i, sum.tries);
+            const double flux = photon.flux;
+            Vec3f origin = photon.origin, direction = photon.direction;
+            sum.emitted += flux;
+            ++sum.photons;
+            for (int bounce = 0;; ++bounce) {
+                PhotonScene::Hit hit;
+                if (!scene.intersect(origin, direction, hit)) {
+                    (bounce == 0 ? sum.missed : sum.escaped) += flux;
+                    break;
+                }
+                if (!std::isfinite(hit.position.x + hit.position.y + hit.position.z)) {
+                    sum.lost += flux;
+                    break;
+                }
+                out.push_back({Vec3f(hit.position), direction, Vec3f(hit.normal), photon.flux,
+                               hit.target, static_cast<std::uint8_t>(bounce), photon.source,
+                               static_cast<std::uint8_t>(hit.on_moss),
+                               static_cast<std::uint8_t>(hit.back)});
+                sum.stored += flux;
+                const auto first = static_cast<std::uint64_t>(bounce) * 3;
+                if (!(draw(first) < scene.albedo_of(hit.on_moss, hit.target))) {
+                    sum.absorbed += flux;
+                    break;
+                }
+                sum.reflected += flux;
+                if (!indirect || bounce == kMostBounces) {
+                    (indirect ? sum.lost : sum.escaped) += flux;
+                    break;
+                }
+                origin = scene.off_surface(hit.position, hit.normal);
+                direction =
+                    Vec3f(cosine_direction(Frame(hit.normal), draw(first + 1), draw(first + 2)));
+            }
+        }
+        ledgers[c] = sum;
+    });
+
+    // Join the chunks in order.
+    Shot shot;
+    std::vector<std::size_t> counts(chunks);
+    for (std::size_t c = 0; c < chunks; ++c) counts[c] = stored[c].size();
+    const std::vector<std::size_t> offset = prefix_sum(counts);
+    shot.photons.resize(offset.back());
+    parallel_for(chunks, [&](std::size_t c) {
+        std::ranges::copy(stored[c], shot.photons.begin() + static_cast<std::ptrdiff_t>(offset[c]));
+    });
+    Ledger& all = shot.ledger;
+    for (const Ledger& part : ledgers) {
+        all.emitted += part.emitted;
+        all.missed += part.missed;
+        all.absorbed += part.absorbed;
+        all.escaped += part.escaped;
+        all.lost += part.lost;
+        all.stored += part.stored;
+        all.reflected += part.reflected;
+        all.photons += part.photons;
+        all.tries += part.tries;
+    }
+    return shot;
+}
+
+std::vector<Emitted> emit_all(const Emitter& emitter, std::uint64_t& tries)
+{
+    std::vector<Emitted> photons(emitter.count());
+    tries = parallel_fold(
+        photons.size(), kChunk, std::uint64_t{0},
+        [&](std::size_t begin, std::size_t end) {
+            std::uint64_t drawn = 0;
+            for (std::size_t i = begin; i < end; ++i) photons[i] = emitter(i, drawn);
+            return drawn;
+        },
+        [](std::uint64_t a, std::uint64_t b) { return a + b; });
+    return photons;
 }
 
 }  // namespace
@@ -296,210 +517,37 @@ std::vector<Emitted> emit(const PhotonScene& scene, const Daylight& daylight,
                           const PhotonParams& params, std::uint64_t seed, std::uint64_t day,
                           std::uint64_t& tries)
 {
-    validate(params);
-    const double radius = scene.radius();
-    check_square(params, radius);
-    const Sun sun(daylight);
-
-    // Share photons by the power that enters the scene's ball.
-    const double sun_power = sun.irradiance * kPi * radius * radius;
-    const double sky_power = daylight.sky * 2 * kPi * radius * radius;
-    std::int64_t suns = 0, skies = 0;
-    if (sun_power > 0 && sky_power > 0) {
-        const auto all = static_cast<double>(params.photons);
-        suns =
-            static_cast<std::int64_t>(std::floor(all * sun_power / (sun_power + sky_power) + 0.5));
-        suns = std::clamp<std::int64_t>(suns, 1, std::max<std::int64_t>(1, params.photons - 1));
-        skies = std::max<std::int64_t>(1, params.photons - suns);
-    } else
-        (sun_power > 0 ? suns : skies) = sun_power + sky_power > 0 ? params.photons : 0;
-    const auto sun_count = static_cast<std::size_t>(suns),
-               sky_count = static_cast<std::size_t>(skies);
-    std::vector<Emitted> photons(sun_count + sky_count);
-    const std::uint64_t key = seed_of_day(seed, day);
-
-    // The sun, straight or from a lamp.
-    const Square square = square_of(params, radius);
-    const double lamp_power = sun_count == 0
-                                  ? 0
-                                  : square_exitance(sun.irradiance, square.half, square.distance) *
-                                        4 * square.half * square.half;
-    auto straight = [&](const Draws& draw) {
-        Emitted photon =
-            through_disc(scene, -cone_direction(sun.draw(draw(0)), kSunRadius, draw(1), draw(2)),
-                         draw(3), draw(4));
-        photon.flux = static_cast<float>(sun_power / static_cast<double>(suns));
-        return photon;
-    };
-    auto on_lamp = [&](const Frame& frame, double u, double v) {
-        return scene.centre() - frame.n * square.distance + frame.a * (square.half * (2 * u - 1)) +
-               frame.b * (square.half * (2 * v - 1));
-    };
-    // Directions farther off the lamp's axis than this miss the scene from everywhere on it.
-    const double corner = square.half * std::sqrt(2.0);
-    const double widest =
-        math::atan2(corner, square.distance) +
-        math::atan2(radius,
-                    std::sqrt(square.distance * square.distance -
-                              std::min(radius * radius, 0.99 * square.distance * square.distance)));
-    const double least_cosine = widest < kPi / 2 ? math::cos(widest) * (1 - 1e-9) : 0;
-    auto from_lamp = [&](const Draws& draw, std::uint64_t& drawn) {
-        // The place on the lamp is drawn again with the direction: kept, as in the source, it would
-        // make places that see less of the scene send as much as others.
-        for (std::uint64_t first = 0;; first += 5) {
-            ++drawn;
-            const double u = draw(first);
-            if (u < least_cosine * least_cosine) continue;
-            const Frame frame(-sun.draw(draw(first + 1)));
-            const Vec3d origin = on_lamp(frame, draw(first + 3), draw(first + 4));
-            const Vec3d direction = cosine_direction(frame, u, draw(first + 2));
-            const Vec3d to_centre = scene.centre() - origin;
-            const double along = dot(to_centre, direction);
-            if (along > 0 && dot(to_centre, to_centre) - along * along <= radius * radius)
-                return Emitted{Vec3f(origin), Vec3f(direction), 0, Source::Sun};
-        }
-    };
-    auto into_cone = [&](const Draws& draw) {
-        const Frame frame(-sun.draw(draw(0)));
-        const Vec3d origin = on_lamp(frame, draw(1), draw(2));
-        const Vec3d to_centre = scene.centre() - origin;
-        const double d2 = dot(to_centre, to_centre), sine2 = radius * radius / d2;
-        // 1 - cos without cancellation
-        const double cap = sine2 / (1 + std::sqrt(1 - sine2));
-        const Vec3d direction =
-            cap_direction(Frame(to_centre / std::sqrt(d2)), cap, draw(3), draw(4));
-        const double cosine = std::max(0.0, dot(direction, frame.n));
-        const double flux = lamp_power * cosine * 2 * cap / static_cast<double>(suns);
-        return Emitted{Vec3f(origin), Vec3f(direction), static_cast<float>(flux), Source::Sun};
-    };
-    tries = parallel_fold(
-        sun_count, kChunk, std::uint64_t{0},
-        [&](std::size_t begin, std::size_t end) {
-            std::uint64_t drawn = 0;
-            for (std::size_t i = begin; i < end; ++i) {
-                const Draws draw(key, kSunPhoton, i);
-                switch (params.sun_light) {
-                    case SunLight::Parallel:
-                        photons[i] = straight(draw);
-                        ++drawn;
-                        break;
-                    case SunLight::Square:
-                        photons[i] = from_lamp(draw, drawn);
-                        break;
-                    case SunLight::SquareCone:
-                        photons[i] = into_cone(draw);
-                        ++drawn;
-                        break;
-                }
-            }
-            return drawn;
-        },
-        [](std::uint64_t a, std::uint64_t b) { return a + b; });
-    if (params.sun_light == SunLight::Square && sun_count > 0) {
-        const auto flux = static_cast<float>(lamp_power / static_cast<double>(tries));
+    const Emitter emitter(scene, daylight, params, seed, day);
+    std::vector<Emitted> photons = emit_all(emitter, tries);
+    if (params.sun_light == SunLight::Square && emitter.suns() > 0) {
+        // How bright a lamp's photons are is known when all of its directions are drawn.
+        const float flux = emitter.lamp_flux(tries);
         parallel_for(
-            sun_count, [&](std::size_t i) { photons[i].flux = flux; }, 16384);
+            emitter.suns(), [&](std::size_t i) { photons[i].flux = flux; }, 16384);
     }
-
-    // The sky: uniform over its half sphere.
-    const auto sky_flux =
-        static_cast<float>(sky_power / static_cast<double>(std::max<std::int64_t>(1, skies)));
-    parallel_for(
-        sky_count,
-        [&](std::size_t i) {
-            const Draws draw(key, kSkyPhoton, i);
-            const Vec3d towards = cap_direction(Frame(Vec3d(0, 0, 1)), 1, draw(0), draw(1));
-            Emitted& photon = photons[sun_count + i];
-            photon = through_disc(scene, -towards, draw(2), draw(3));
-            photon.flux = sky_flux;
-            photon.source = Source::Sky;
-        },
-        kChunk);
     return photons;
 }
 
 Shot trace(const PhotonScene& scene, std::span<const Emitted> emitted, bool indirect,
            std::uint64_t seed, std::uint64_t day, const Progress& progress)
 {
-    const std::uint64_t key = seed_of_day(seed, day);
-    const std::size_t chunks = (emitted.size() + kChunk - 1) / kChunk;
-    std::vector<std::vector<Photon>> stored(chunks);
-    std::vector<Ledger> ledgers(chunks);
-    parallel_for(chunks, [&](std::size_t c) {
-        progress.check();
-        std::vector<Photon>& out = stored[c];
-        out.reserve(kChunk);
-        Ledger sum;
-        for (std::size_t i = c * kChunk; i < std::min(emitted.size(), (c + 1) * kChunk); ++i) {
-            const Draws draw(key, kBounce, i);
-            const double flux = emitted[i].flux;
-            Vec3f origin = emitted[i].origin, direction = emitted[i].direction;
-            sum.emitted += flux;
-            for (int bounce = 0;; ++bounce) {
-                PhotonScene::Hit hit;
-                if (!scene.intersect(origin, direction, hit)) {
-                    (bounce == 0 ? sum.missed : sum.escaped) += flux;
-                    break;
-                }
-                if (!std::isfinite(hit.position.x + hit.position.y + hit.position.z)) {
-                    sum.lost += flux;
-                    break;
-                }
-                out.push_back({Vec3f(hit.position), direction, Vec3f(hit.normal), emitted[i].flux,
-                               hit.target, static_cast<std::uint8_t>(bounce), emitted[i].source,
-                               static_cast<std::uint8_t>(hit.on_moss),
-                               static_cast<std::uint8_t>(hit.back)});
-                sum.stored += flux;
-                const auto first = static_cast<std::uint64_t>(bounce) * 3;
-                if (!(draw(first) < scene.albedo_of(hit.on_moss, hit.target))) {
-                    sum.absorbed += flux;
-                    break;
-                }
-                sum.reflected += flux;
-                if (!indirect || bounce == kMostBounces) {
-                    (indirect ? sum.lost : sum.escaped) += flux;
-                    break;
-                }
-                origin = scene.off_surface(hit.position, hit.normal);
-                direction =
-                    Vec3f(cosine_direction(Frame(hit.normal), draw(first + 1), draw(first + 2)));
-            }
-        }
-        sum.photons = std::min(emitted.size(), (c + 1) * kChunk) - c * kChunk;
-        ledgers[c] = sum;
-    });
-
-    // Join the chunks in order.
-    Shot shot;
-    std::vector<std::size_t> counts(chunks);
-    for (std::size_t c = 0; c < chunks; ++c) counts[c] = stored[c].size();
-    const std::vector<std::size_t> offset = prefix_sum(counts);
-    shot.photons.resize(offset.back());
-    parallel_for(chunks, [&](std::size_t c) {
-        std::ranges::copy(stored[c], shot.photons.begin() + static_cast<std::ptrdiff_t>(offset[c]));
-        std::vector<Photon>().swap(stored[c]);
-    });
-    Ledger& all = shot.ledger;
-    for (const Ledger& part : ledgers) {
-        all.emitted += part.emitted;
-        all.missed += part.missed;
-        all.absorbed += part.absorbed;
-        all.escaped += part.escaped;
-        all.lost += part.lost;
-        all.stored += part.stored;
-        all.reflected += part.reflected;
-        all.photons += part.photons;
-    }
-    return shot;
+    auto source = [&](std::size_t i, std::uint64_t&) { return emitted[i]; };
+    return follow(scene, emitted.size(), source, indirect, seed, day, progress);
 }
 
 Shot shoot(const PhotonScene& scene, const Daylight& daylight, const PhotonParams& params,
            std::uint64_t seed, std::uint64_t day, const Progress& progress)
 {
-    std::uint64_t tries = 0;
-    const std::vector<Emitted> emitted = emit(scene, daylight, params, seed, day, tries);
-    Shot shot = trace(scene, emitted, params.indirect, seed, day, progress);
-    shot.ledger.tries = tries;
+    Shot shot;
+    if (params.sun_light == SunLight::Square) {
+        std::uint64_t tries = 0;
+        const std::vector<Emitted> emitted = emit(scene, daylight, params, seed, day, tries);
+        shot = trace(scene, emitted, params.indirect, seed, day, progress);
+        shot.ledger.tries = tries;
+    } else {
+        const Emitter emitter(scene, daylight, params, seed, day);
+        shot = follow(scene, emitter.count(), emitter, params.indirect, seed, day, progress);
+    }
     if (shot.ledger.lost > 1e-6 * shot.ledger.emitted)
         log::warning("photons: {:.3g} of {:.3g} W were lost on day {}", shot.ledger.lost,
                      shot.ledger.emitted, day);
