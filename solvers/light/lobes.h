@@ -13,7 +13,7 @@ namespace sekitei::light {
 /// of the cost of math::sin and cos; within 1e-15; the same bits on every machine.
 struct Turn {
     double sine, cosine;
-    explicit Turn(double u)
+    [[gnu::always_inline]] explicit Turn(double u)
     {
         // u = (quarter + x) / 4 with |x| <= 1/2
         const double quarters = 4 * u;
@@ -38,7 +38,7 @@ struct Turn {
 /// A unit vector and two across it, right-handed [Duff2017].
 struct Frame {
     Vec3d n, a, b;
-    explicit Frame(Vec3d normal) : n(normal)
+    [[gnu::always_inline]] explicit Frame(Vec3d normal) : n(normal)
     {
         const double sign = std::copysign(1.0, n.z), s = -1 / (sign + n.z), t = n.x * n.y * s;
         a = {1 + sign * n.x * n.x * s, sign * t, -sign * n.x};

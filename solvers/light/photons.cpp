@@ -23,7 +23,7 @@ constexpr double kLift = 1e-5;  // ray origins above surfaces, in radii of the s
 constexpr double kMostAlbedo = 0.95;
 constexpr int kMostBounces = 64;
 constexpr double kSunRadius = 0.2665 * kPi / 180;  // of its disc as seen from here
-constexpr std::size_t kChunk = 2048;
+constexpr std::size_t kChunk = 1024, kWave = 32;
 
 constexpr Stream kSunPhoton{"photons.sun"}, kSkyPhoton{"photons.sky"}, kBounce{"photons.bounce"};
 
@@ -88,7 +88,7 @@ void check_square(const PhotonParams& params, double radius)
 
 /// Beams above the horizon, as a table to draw from.
 struct Sun {
-    std::vector<Vec3d> towards;
+    std::vector<Frame> towards;
     std::vector<double> upto;  ///< summed irradiances
     double irradiance = 0;
 
@@ -105,13 +105,13 @@ struct Sun {
                     k, beam.towards.x, beam.towards.y, beam.towards.z, beam.irradiance));
             if (!(beam.towards.z > 0) || beam.irradiance == 0) continue;
             irradiance += beam.irradiance;
-            towards.push_back(beam.towards / size);
+            towards.emplace_back(beam.towards / size);
             upto.push_back(irradiance);
         }
         if (!(day.sky >= 0 && std::isfinite(day.sky)))
             throw InvalidInput(fmt::format("photons: sky = {:.6g} W/m^2, must be >= 0", day.sky));
     }
-    Vec3d draw(double u) const
+    const Frame& draw(double u) const
     {
         if (towards.size() == 1) return towards[0];
         const auto at = std::upper_bound(upto.begin(), upto.end() - 1, u * irradiance);
@@ -191,7 +191,7 @@ private:
     Emitted straight(const Draws::OfPhoton& draw) const
     {
         static const double cap = cap_of_cone(kSunRadius);
-        const Vec3d towards = cap_direction(Frame(sun_.draw(draw(0))), cap, draw(1), draw(2));
+        const Vec3d towards = cap_direction(sun_.draw(draw(0)), cap, draw(1), draw(2));
         Emitted photon = through_disc(-towards, draw(3), draw(4));
         photon.flux = sun_flux_;
         return photon;
@@ -217,7 +217,7 @@ private:
             ++tries;
             const double u = draw(k);
             if (u < least_u_) continue;
-            const Frame frame(-sun_.draw(draw(k + 1)));
+            const Frame frame(-sun_.draw(draw(k + 1)).n);
             const Vec3d origin = on_lamp(frame, draw(k + 3), draw(k + 4));
             const Vec3d direction = cosine_direction(frame, u, draw(k + 2));
             const Vec3d to_centre = centre_ - origin;
@@ -228,7 +228,7 @@ private:
     }
     Emitted aimed(const Draws::OfPhoton& draw) const
     {
-        const Frame frame(-sun_.draw(draw(0)));
+        const Frame frame(-sun_.draw(draw(0)).n);
         const Vec3d origin = on_lamp(frame, draw(1), draw(2));
         const Vec3d to_centre = centre_ - origin;
         const double d2 = dot(to_centre, to_centre), sine2 = radius_ * radius_ / d2;
@@ -251,80 +251,114 @@ private:
     double lamp_power_ = 0, least_u_ = 0;
 };
 
+/// Follows a photon from where it was met first until it is gone.
+void follow(const PhotonScene& scene, const Emitted& photon, PhotonScene::Hit hit,
+            const Draws::OfPhoton& draw, bool indirect, std::vector<Photon>& out, Ledger& sum)
+{
+    const double flux = photon.flux, farthest = 4 * scene.radius() * scene.radius();
+    Vec3f direction = photon.direction;
+    for (int bounce = 0;; ++bounce) {
+        // Rays along a surface may meet it nowhere, or far away.
+        const Vec3d off = hit.position - scene.centre();
+        if (!(dot(off, off) <= farthest)) {
+            sum.lost += flux;
+            return;
+        }
+        out.push_back({Vec3f(hit.position), direction, Vec3f(hit.normal), photon.flux, hit.target,
+                       static_cast<std::uint8_t>(bounce), photon.source,
+                       static_cast<std::uint8_t>(hit.on_moss),
+                       static_cast<std::uint8_t>(hit.back)});
+        sum.stored += flux;
+        const auto first = static_cast<std::uint64_t>(bounce) * 3;
+        if (!(draw(first) < scene.albedo_of(hit.on_moss, hit.target))) {
+            sum.absorbed += flux;
+            return;
+        }
+        sum.reflected += flux;
+        if (!indirect || bounce == kMostBounces) {
+            (indirect ? sum.lost : sum.escaped) += flux;
+            return;
+        }
+        const Vec3f origin = scene.off_surface(hit.position, hit.normal);
+        direction = Vec3f(cosine_direction(Frame(hit.normal), draw(first + 1), draw(first + 2)));
+        if (!scene.intersect(origin, direction, hit)) {
+            sum.escaped += flux;
+            return;
+        }
+    }
+}
+
+/// Whether the line of a ray passes through a box: seen along each axis [Ericson2005, 5.3.3].
+bool may_meet(Vec3d centre, Vec3d half, Vec3f origin, Vec3f direction)
+{
+    const Vec3d d(direction), across = cross(Vec3d(origin) - centre, d);
+    const double x = std::abs(d.x), y = std::abs(d.y), z = std::abs(d.z);
+    return std::abs(across.x) <= half.y * z + half.z * y &&
+           std::abs(across.y) <= half.z * x + half.x * z &&
+           std::abs(across.z) <= half.x * y + half.y * x;
+}
+
+void add(Ledger& all, const Ledger& part)
+{
+    all.emitted += part.emitted;
+    all.missed += part.missed;
+    all.absorbed += part.absorbed;
+    all.escaped += part.escaped;
+    all.lost += part.lost;
+    all.stored += part.stored;
+    all.reflected += part.reflected;
+    all.photons += part.photons;
+    all.tries += part.tries;
+}
+
 /// Follows photons source(i, tries) for i < count.
 template <class Sourced>
-Shot follow(const PhotonScene& scene, std::size_t count, const Sourced& source, bool indirect,
-            std::uint64_t seed, std::uint64_t day, const Progress& progress)
+Shot follow_all(const PhotonScene& scene, std::size_t count, const Sourced& source, bool indirect,
+                std::uint64_t seed, std::uint64_t day, const Progress& progress)
 {
     const Draws draws(seed, day, kBounce);
-    const std::size_t chunks = (count + kChunk - 1) / kChunk;
-    std::vector<std::vector<Photon>> stored(chunks);
-    std::vector<Ledger> ledgers(chunks);
-    parallel_for(chunks, [&](std::size_t c) {
-        progress.check();
-        std::vector<Photon>& out = stored[c];
-        out.reserve(kChunk);
-        Ledger sum;
-        for (std::size_t i = c * kChunk; i < std::min(count, (c + 1) * kChunk); ++i) {
-            const auto draw = draws[i];
-            const Emitted photon = source(i, sum.tries);
-            const double flux = photon.flux;
-            Vec3f origin = photon.origin, direction = photon.direction;
-            sum.emitted += flux;
-            ++sum.photons;
-            for (int bounce = 0;; ++bounce) {
-                PhotonScene::Hit hit;
-                if (!scene.intersect(origin, direction, hit)) {
-                    (bounce == 0 ? sum.missed : sum.escaped) += flux;
-                    break;
-                }
-                if (!std::isfinite(hit.position.x + hit.position.y + hit.position.z)) {
-                    sum.lost += flux;
-                    break;
-                }
-                out.push_back({Vec3f(hit.position), direction, Vec3f(hit.normal), photon.flux,
-                               hit.target, static_cast<std::uint8_t>(bounce), photon.source,
-                               static_cast<std::uint8_t>(hit.on_moss),
-                               static_cast<std::uint8_t>(hit.back)});
-                sum.stored += flux;
-                const auto first = static_cast<std::uint64_t>(bounce) * 3;
-                if (!(draw(first) < scene.albedo_of(hit.on_moss, hit.target))) {
-                    sum.absorbed += flux;
-                    break;
-                }
-                sum.reflected += flux;
-                if (!indirect || bounce == kMostBounces) {
-                    (indirect ? sum.lost : sum.escaped) += flux;
-                    break;
-                }
-                origin = scene.off_surface(hit.position, hit.normal);
-                direction =
-                    Vec3f(cosine_direction(Frame(hit.normal), draw(first + 1), draw(first + 2)));
-            }
-        }
-        ledgers[c] = sum;
-    });
-
-    // Join the chunks in order.
     Shot shot;
-    std::vector<std::size_t> counts(chunks);
-    for (std::size_t c = 0; c < chunks; ++c) counts[c] = stored[c].size();
-    const std::vector<std::size_t> offset = prefix_sum(counts);
-    shot.photons.resize(offset.back());
-    parallel_for(chunks, [&](std::size_t c) {
-        std::ranges::copy(stored[c], shot.photons.begin() + static_cast<std::ptrdiff_t>(offset[c]));
-    });
-    Ledger& all = shot.ledger;
-    for (const Ledger& part : ledgers) {
-        all.emitted += part.emitted;
-        all.missed += part.missed;
-        all.absorbed += part.absorbed;
-        all.escaped += part.escaped;
-        all.lost += part.lost;
-        all.stored += part.stored;
-        all.reflected += part.reflected;
-        all.photons += part.photons;
-        all.tries += part.tries;
+    // Balls of moss may stand out of the land's box.
+    Bounds box = scene.bounds();
+    for (const auto& [c, r] : scene.moss()) {
+        box.add(Vec3d(c) - Vec3d(r));
+        box.add(Vec3d(c) + Vec3d(r));
+    }
+    const Vec3d middle = box.centre(), half = box.size() / 2.0 + Vec3d(1e-5 * scene.radius());
+    // Chunks take turns in few buffers, which stay in cache; they are joined in order.
+    std::array<std::vector<Photon>, kWave> stored;
+    std::array<Ledger, kWave> ledgers;
+    const std::size_t chunks = (count + kChunk - 1) / kChunk;
+    for (std::size_t first = 0; first < chunks; first += kWave) {
+        const std::size_t wave = std::min(kWave, chunks - first);
+        parallel_for(wave, [&](std::size_t w) {
+            progress.check();
+            stored[w].clear();
+            ledgers[w] = {};
+            const std::size_t begin = (first + w) * kChunk, end = std::min(count, begin + kChunk);
+            Ledger& sum = ledgers[w];
+            // Made side by side first: they do not wait for one another.
+            std::array<Emitted, kChunk> photons;
+            for (std::size_t i = begin; i < end; ++i) photons[i - begin] = source(i, sum.tries);
+            for (std::size_t i = begin; i < end; ++i) {
+                const Emitted& photon = photons[i - begin];
+                sum.emitted += photon.flux;
+                ++sum.photons;
+                PhotonScene::Hit hit;
+                if (may_meet(middle, half, photon.origin, photon.direction) &&
+                    scene.intersect(photon.origin, photon.direction, hit))
+                    follow(scene, photon, hit, draws[i], indirect, stored[w], sum);
+                else
+                    sum.missed += photon.flux;
+            }
+        });
+        std::size_t more = 0;
+        for (std::size_t w = 0; w < wave; ++w) more += stored[w].size();
+        if (first == 0) shot.photons.reserve(more + more * (chunks - wave) / wave * 17 / 16);
+        for (std::size_t w = 0; w < wave; ++w) {
+            shot.photons.insert(shot.photons.end(), stored[w].begin(), stored[w].end());
+            add(shot.ledger, ledgers[w]);
+        }
     }
     return shot;
 }
@@ -389,6 +423,13 @@ struct PhotonScene::Rays {
     std::vector<Vec3f> vertices;
     std::vector<rays::TriangleScene::Triangle> triangles;
     std::unique_ptr<rays::TriangleScene> land;
+    /// Of each triangle: where it lies, normal . (x - centre) = offset. One look at 16 bytes
+    /// instead of four at more; as exact as the positions that come of it.
+    struct Plane {
+        Vec3f normal;
+        float offset;
+    };
+    std::vector<Plane> planes;
     RTCDevice device = nullptr;
     RTCScene moss = nullptr;
 
@@ -419,14 +460,23 @@ PhotonScene::PhotonScene(const TriMesh& land, std::span<const float> albedo, dou
     rays_->triangles = land.triangles;
     rays_->land = std::make_unique<rays::TriangleScene>(
         rays_->vertices, rays_->triangles, "photons", progress, RTC_BUILD_QUALITY_HIGH);
-    for (const auto& t : land.triangles)
-        for (const std::uint32_t v : t) bounds_.add(Vec3d(land.vertices[v]));
+    for (const auto& t : land.triangles) {
+        const Vec3d a(land.vertices[t[0]]), b(land.vertices[t[1]]), c(land.vertices[t[2]]);
+        for (const Vec3d corner : {a, b, c}) bounds_.add(corner);
+    }
     bounds_.lower -= Vec3d(moss_height);
     bounds_.upper += Vec3d(moss_height);
     centre_ = bounds_.centre();
     radius_ = length(bounds_.size()) / 2;
     if (!(radius_ > 0)) throw InvalidInput("photons: the mesh is a single point");
     lift_ = kLift * radius_;
+    rays_->planes.resize(land.triangles.size());
+    for (std::size_t i = 0; i < land.triangles.size(); ++i) {
+        const auto& t = land.triangles[i];
+        const Vec3d a(land.vertices[t[0]]), b(land.vertices[t[1]]), c(land.vertices[t[2]]);
+        const Vec3d n = normalized(cross(b - a, c - a));
+        rays_->planes[i] = {Vec3f(n), static_cast<float>(dot(n, (a + b + c) / 3.0 - centre_))};
+    }
 }
 PhotonScene::~PhotonScene() = default;
 
@@ -469,40 +519,35 @@ bool PhotonScene::intersect(Vec3f origin, Vec3f direction, Hit& hit, bool moss_t
 {
     constexpr float kFar = INFINITY;
     const Vec3d o(origin), d(direction);
-    rays::Hit on_land;
-    const bool land = rays_->land->intersect(origin, direction, kNear, kFar, on_land);
-    if (rays_->moss && moss_too) {
-        const float most = land ? static_cast<float>(on_land.distance) : kFar;
-        RTCRayHit query;
-        if (rays::first_hit(rays_->moss, rays::ray_of(origin, direction, kNear, most), query)) {
-            hit.target = query.hit.primID;
-            hit.on_moss = true;
-            const Vec3d c(moss_[hit.target].centre), off = o - c;
-            const double r = static_cast<double>(moss_[hit.target].radius);
-            // Roots of |o + t d - c| = r; Embree tells which of them.
-            const double a = dot(d, d), half_b = dot(off, d);
-            const double root =
-                std::sqrt(std::max(0.0, half_b * half_b - a * (dot(off, off) - r * r)));
-            const double in = (-half_b - root) / a, out = (-half_b + root) / a;
-            const auto met = static_cast<double>(query.ray.tfar);
-            hit.back = std::abs(out - met) < std::abs(in - met);
-            hit.distance = hit.back ? out : in;
-            hit.position = o + d * hit.distance;
-            hit.normal = normalized(hit.position - c) * (hit.back ? -1.0 : 1.0);
-            return true;
-        }
+    const bool land = rays_->land->intersect(origin, direction, kNear, kFar, hit.target);
+    if (land) {
+        const Rays::Plane& plane = rays_->planes[hit.target];
+        const Vec3d n(plane.normal);
+        const double towards = dot(n, d);
+        hit.on_moss = false;
+        hit.back = towards > 0;
+        hit.normal = hit.back ? -n : n;
+        hit.distance = (static_cast<double>(plane.offset) - dot(n, o - centre_)) / towards;
+        hit.position = o + d * hit.distance;
     }
-    if (!land) return false;
-    hit.target = on_land.triangle;
-    hit.on_moss = false;
-    hit.distance = on_land.distance;
+    if (!rays_->moss || !moss_too) return land;
+    const float most = land ? static_cast<float>(hit.distance) : kFar;
+    RTCRayHit query;
+    if (!rays::first_hit(rays_->moss, rays::ray_of(origin, direction, kNear, most), query))
+        return land;
+    hit.target = query.hit.primID;
+    hit.on_moss = true;
+    const Vec3d c(moss_[hit.target].centre), off = o - c;
+    const auto r = static_cast<double>(moss_[hit.target].radius);
+    // Roots of |o + t d - c| = r; Embree tells which of them.
+    const double a = dot(d, d), half_b = dot(off, d);
+    const double root = std::sqrt(std::max(0.0, half_b * half_b - a * (dot(off, off) - r * r)));
+    const double in = (-half_b - root) / a, out = (-half_b + root) / a;
+    const auto met = static_cast<double>(query.ray.tfar);
+    hit.back = std::abs(out - met) < std::abs(in - met);
+    hit.distance = hit.back ? out : in;
     hit.position = o + d * hit.distance;
-    const auto& t = rays_->triangles[hit.target];
-    const Vec3d a(rays_->vertices[t[0]]);
-    const Vec3d n =
-        normalized(cross(Vec3d(rays_->vertices[t[1]]) - a, Vec3d(rays_->vertices[t[2]]) - a));
-    hit.back = dot(n, d) > 0;
-    hit.normal = hit.back ? -n : n;
+    hit.normal = normalized(hit.position - c) * (hit.back ? -1.0 : 1.0);
     return true;
 }
 
@@ -532,7 +577,7 @@ Shot trace(const PhotonScene& scene, std::span<const Emitted> emitted, bool indi
            std::uint64_t seed, std::uint64_t day, const Progress& progress)
 {
     auto source = [&](std::size_t i, std::uint64_t&) { return emitted[i]; };
-    return follow(scene, emitted.size(), source, indirect, seed, day, progress);
+    return follow_all(scene, emitted.size(), source, indirect, seed, day, progress);
 }
 
 Shot shoot(const PhotonScene& scene, const Daylight& daylight, const PhotonParams& params,
@@ -546,7 +591,7 @@ Shot shoot(const PhotonScene& scene, const Daylight& daylight, const PhotonParam
         shot.ledger.tries = tries;
     } else {
         const Emitter emitter(scene, daylight, params, seed, day);
-        shot = follow(scene, emitter.count(), emitter, params.indirect, seed, day, progress);
+        shot = follow_all(scene, emitter.count(), emitter, params.indirect, seed, day, progress);
     }
     if (shot.ledger.lost > 1e-6 * shot.ledger.emitted)
         log::warning("photons: {:.3g} of {:.3g} W were lost on day {}", shot.ledger.lost,

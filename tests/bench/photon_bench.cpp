@@ -1,4 +1,4 @@
-// A day of photons: tracing against a bare loop of Embree's closest-hit rays over the very same
+// A day of photons: tracing against a bare loop of Embree's closest-hit rays over the same mix of
 // rays, searches built, estimates. Prints: case, size, threads, seconds, what it comes to, hash.
 
 #include <fmt/format.h>
@@ -10,9 +10,9 @@
 #include <vector>
 
 #include "core/mesh_sites.h"
-#include "core/noise.h"
 #include "core/parallel.h"
 #include "core/random.h"
+#include "solvers/light/lobes.h"
 #include "solvers/light/photon_map.h"
 #include "solvers/rays/embree.h"
 #include "tests/bench/measure.h"
@@ -69,19 +69,23 @@ struct RecordedRay {
     Vec3f origin, direction;
 };
 
-/// Every ray of the photons: the first ones, and one for each reflection. Rays that left after a
-/// reflection are not recorded; they are few.
+/// The rays of the photons: the first ones, and from stored hits as many as were reflected, drawn
+/// alike.
 std::vector<RecordedRay> record(const light::PhotonScene& scene,
                                 const std::vector<light::Emitted>& emitted,
                                 const std::vector<light::Photon>& stored)
 {
+    constexpr Stream kDraw{"photon_bench.reflected"};
     std::vector<RecordedRay> rays;
     for (const auto& e : emitted) rays.push_back({e.origin, e.direction});
-    for (std::size_t i = 1; i < stored.size(); ++i)
-        if (stored[i].bounce > 0)
-            rays.push_back(
-                {scene.off_surface(Vec3d(stored[i - 1].position), Vec3d(stored[i - 1].normal)),
-                 stored[i].direction});
+    for (std::size_t i = 0; i < stored.size(); ++i) {
+        const light::Photon& p = stored[i];
+        if (uniform01(1, kDraw, i, 0) >= scene.albedo_of(p.on_moss, p.target)) continue;
+        const Vec3d n(p.normal);
+        rays.push_back({scene.off_surface(Vec3d(p.position), n),
+                        Vec3f(light::cosine_direction(light::Frame(n), uniform01(1, kDraw, i, 1),
+                                                      uniform01(1, kDraw, i, 2)))});
+    }
     return rays;
 }
 
@@ -205,7 +209,7 @@ void day_on(const std::string& name, const TriMesh& mesh, double longest_edge, s
     const auto tracing = run(
         fmt::format("{}: {} sites, {} plants, {} photons emitted, {} stored, sky {} of 150 W/m^2",
                     name, sites.size(), plants, emitted.size(), shot.photons.size(), sky),
-        {{"bare Embree, the same rays (peer)", 5, [&] { met = raw_hits(raw.scene, rays); },
+        {{"bare Embree, the same kind of rays (peer)", 5, [&] { met = raw_hits(raw.scene, rays); },
           [&] { return hash_bytes(met); }, rate},
          {"emit", 5, [&] { emitted = light::emit(scene, daylight, params, 1, 1, tries); },
           [&] { return hash_bytes(emitted); }, photon_rate},
@@ -276,10 +280,7 @@ void day_on(const std::string& name, const TriMesh& mesh, double longest_edge, s
               [&](double s) {
                   return fmt::format("{:.0f} M photons in reach/s, {:.0f} a place", tests / s / 1e6,
                                      tests / static_cast<double>(sites.size() + plants));
-              }},
-             {"areas of the kernel, once", 2,
-              [&] { on_sites.beam = kernel.kernel_area(sites.position, sites.normal); },
-              [&] { return hash_bytes(on_sites.beam); }, [](double) { return std::string(); }}});
+              }}});
     }
     fmt::print("bytes: {} a photon, {} more in the map\n\n", sizeof(light::Photon),
                light::PhotonMap::bytes_per_photon());
