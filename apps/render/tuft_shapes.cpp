@@ -506,8 +506,8 @@ constexpr Habit kHypnum{.flat = 0.6,
                         .middle = {.wide = 1, .low = 0.35, .high = 0.85, .tone = -1},
                         .far = {.wide = 0.88, .low = 0.2, .high = 0.61, .tone = -2.5}};
 constexpr Habit kPolytrichum{.flat = 0.8,
-                             .core = 0.36,
-                             .core_top = 0.14,
+                             .core = 0.32,
+                             .core_top = 0.10,
                              .stalks = 5,
                              .stalk_low = 0.30,
                              .stalk_high = 0.36,
@@ -591,7 +591,7 @@ int tuft_density(float growth)
 
 int tuft_lod(double pixels)
 {
-    return pixels >= 20 ? 0 : pixels >= 4 ? 1 : 2;
+    return pixels >= 10 ? 0 : pixels >= 3 ? 1 : 2;
 }
 
 std::vector<TuftFile> tuft_files(const std::vector<std::string>& species, float growth)

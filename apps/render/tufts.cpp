@@ -34,8 +34,8 @@ constexpr std::array<Palette, 5> kPalettes{{
      0.45f},
     {"polytrichum",
      {0.050f, 0.028f, 0.014f},
-     {0.040f, 0.098f, 0.026f},
-     {0.105f, 0.205f, 0.050f},
+     {0.039f, 0.094f, 0.025f},
+     {0.100f, 0.196f, 0.048f},
      {0.300f, 0.245f, 0.105f},
      0.30f},
     {"grimmia",
@@ -82,13 +82,13 @@ Vec3f leaf_colour(const Palette& of, const Condition& is, float height)
 {
     const Vec3f fresh{of.tip.x * 0.92f, of.tip.y * 1.16f, of.tip.z * 0.90f};
     const Vec3f leaf = mix(of.leaf, fresh, 0.40f * is.young);
-    const Vec3f tip = mix(mix(of.tip, fresh, is.young), of.leaf, 0.35f * is.old);
+    const Vec3f tip = mix(mix(of.tip, fresh, is.young), of.leaf, 0.22f * is.old);
     Vec3f colour = mix(of.foot, leaf, smooth(0.0f, 0.5f, height));
     colour = mix(colour, tip, smooth(0.45f, 1.0f, height));
     // Brown climbs from the foot.
     colour = mix(colour, kBrown, 0.8f * is.old * (1 - smooth(0.2f, 0.9f, height)));
     colour = mix(colour, of.straw * (0.3f + 0.7f * height), 0.65f * is.dry);
-    const Vec3f deep = mix(Vec3f(1), Vec3f(0.60f, 0.72f, 0.55f), is.soaked);
+    const Vec3f deep = mix(Vec3f(1), Vec3f(0.60f, 0.74f, 0.53f), is.soaked);
     return {colour.x * deep.x, colour.y * deep.y, colour.z * deep.z};
 }
 
@@ -350,7 +350,7 @@ Material Tufts::material(const TuftHit& hit, const SurfacePoint& point) const
     Material m;
     m.normal = point.normal;
     m.roughness = 0.55f + 0.20f * p.state.dry - 0.20f * p.state.soaked;
-    m.specular = point.seen ? 0.35f - 0.20f * p.state.dry + 0.35f * p.state.soaked : 0;
+    m.specular = point.seen ? 0.35f - 0.20f * p.state.dry + 0.25f * p.state.soaked : 0;
     if (height > 1.5f) {
         m.albedo = kStalk * (1 + 0.5f * tone);
         return m;

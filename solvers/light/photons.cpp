@@ -23,27 +23,37 @@ constexpr double kLift = 1e-5;  // ray origins above surfaces, in radii of the s
 constexpr double kMostAlbedo = 0.95;
 constexpr int kMostBounces = 64;
 constexpr double kSunRadius = 0.2665 * kPi / 180;  // of its disc as seen from here
-constexpr std::size_t kChunk = 2048;
+constexpr std::size_t kChunk = 1024, kWave = 32;
 
 constexpr Stream kSunPhoton{"photons.sun"}, kSkyPhoton{"photons.sky"}, kBounce{"photons.bounce"};
 
-/// The draws of one photon, by number.
+/// The draws of all photons of a stream on a day: uniform01(hash2(seed, day), stream, photon, k),
+/// with what they have in common worked out once.
 class Draws {
 public:
-    Draws(std::uint64_t seed_of_day, Stream stream, std::uint64_t photon)
-        : key_(hash2(hash2(seed_of_day, stream.id), photon))
+    Draws(std::uint64_t seed, std::uint64_t day, Stream stream)
+        : base_(mix64(hash2(hash2(seed, day), stream.id)))
     {
     }
-    double operator()(std::uint64_t number) const { return uniform_of_key(key_, number); }
+    class OfPhoton {
+    public:
+        explicit OfPhoton(std::uint64_t base) : base_(base) {}
+        double operator()(std::uint64_t k) const
+        {
+            return static_cast<double>(mix64(base_ + k) >> 11) * 0x1p-53;
+        }
+
+    private:
+        std::uint64_t base_;
+    };
+    OfPhoton operator[](std::uint64_t photon) const
+    {
+        return OfPhoton(mix64(mix64(base_ + photon)));
+    }
 
 private:
-    std::uint64_t key_;
+    std::uint64_t base_;
 };
-
-std::uint64_t seed_of_day(std::uint64_t seed, std::uint64_t day)
-{
-    return hash2(seed, day);
-}
 
 void check_albedo(double albedo, const char* whose)
 {
@@ -78,7 +88,7 @@ void check_square(const PhotonParams& params, double radius)
 
 /// Beams above the horizon, as a table to draw from.
 struct Sun {
-    std::vector<Vec3d> towards;
+    std::vector<Frame> towards;
     std::vector<double> upto;  ///< summed irradiances
     double irradiance = 0;
 
@@ -95,14 +105,13 @@ struct Sun {
                     k, beam.towards.x, beam.towards.y, beam.towards.z, beam.irradiance));
             if (!(beam.towards.z > 0) || beam.irradiance == 0) continue;
             irradiance += beam.irradiance;
-            towards.push_back(beam.towards / size);
+            towards.emplace_back(beam.towards / size);
             upto.push_back(irradiance);
         }
         if (!(day.sky >= 0 && std::isfinite(day.sky)))
-            throw InvalidInput(
-                fmt::format("photons: sky = {:.6g} W/m^2, must be >= 0", day.sky));
+            throw InvalidInput(fmt::format("photons: sky = {:.6g} W/m^2, must be >= 0", day.sky));
     }
-    Vec3d draw(double u) const
+    const Frame& draw(double u) const
     {
         if (towards.size() == 1) return towards[0];
         const auto at = std::upper_bound(upto.begin(), upto.end() - 1, u * irradiance);
@@ -110,16 +119,262 @@ struct Sun {
     }
 };
 
-/// Enters along `direction` through the disc that covers the scene.
-Emitted through_disc(const PhotonScene& scene, Vec3d direction, double u, double v)
+/// Makes photon i of a day.
+class Emitter {
+public:
+    Emitter(const PhotonScene& scene, const Daylight& day, const PhotonParams& params,
+            std::uint64_t seed, std::uint64_t number_of_day)
+        : sun_(day),
+          kind_(params.sun_light),
+          centre_(scene.centre()),
+          radius_(scene.radius()),
+          square_(square_of(params, scene.radius())),
+          sun_draws_(seed, number_of_day, kSunPhoton),
+          sky_draws_(seed, number_of_day, kSkyPhoton)
+    {
+        validate(params);
+        check_square(params, radius_);
+        // Share photons by the power that enters the scene's ball.
+        const double disc = kPi * radius_ * radius_;
+        const double sun_power = sun_.irradiance * disc, sky_power = 2 * day.sky * disc;
+        const auto all = static_cast<std::uint64_t>(params.photons);
+        if (sun_power > 0 && sky_power > 0) {
+            const double share = sun_power / (sun_power + sky_power);
+            suns_ = static_cast<std::uint64_t>(static_cast<double>(all) * share + 0.5);
+            suns_ = std::clamp<std::uint64_t>(suns_, 1, std::max<std::uint64_t>(1, all - 1));
+            skies_ = std::max<std::uint64_t>(1, all - suns_);
+        } else if (sun_power + sky_power > 0)
+            (sun_power > 0 ? suns_ : skies_) = all;
+        if (skies_ > 0) sky_flux_ = static_cast<float>(sky_power / static_cast<double>(skies_));
+        if (suns_ == 0) return;
+        sun_flux_ = static_cast<float>(sun_power / static_cast<double>(suns_));
+        lamp_power_ = square_exitance(sun_.irradiance, square_.half, square_.distance) * 4 *
+                      square_.half * square_.half;
+        // Directions farther off the lamp's axis than this miss the scene from all over the lamp.
+        const double d2 = square_.distance * square_.distance, r2 = radius_ * radius_;
+        if (kind_ == SunLight::Parallel || !(d2 > r2)) return;
+        const double widest = math::atan2(square_.half * std::sqrt(2.0), square_.distance) +
+                              math::atan2(radius_, std::sqrt(d2 - r2));
+        const double cosine = widest < kPi / 2 ? math::cos(widest) * (1 - 1e-9) : 0;
+        least_u_ = cosine * cosine;
+    }
+
+    std::uint64_t suns() const { return suns_; }
+    std::uint64_t count() const { return suns_ + skies_; }
+    /// The flux of photons of a lamp whose directions were drawn so often.
+    float lamp_flux(std::uint64_t tries) const
+    {
+        return static_cast<float>(lamp_power_ / static_cast<double>(tries));
+    }
+    /// Photon i, those of the sun first; counts directions drawn. Photons of a square lamp have no
+    /// flux yet.
+    Emitted operator()(std::uint64_t i, std::uint64_t& tries) const
+    {
+        if (i >= suns_) return from_sky(sky_draws_[i - suns_]);
+        const auto draw = sun_draws_[i];
+        if (kind_ == SunLight::Square) return from_lamp(draw, tries);
+        ++tries;
+        return kind_ == SunLight::Parallel ? straight(draw) : aimed(draw);
+    }
+
+private:
+    /// Enters along `direction` through the disc that covers the scene.
+    Emitted through_disc(Vec3d direction, double u, double v) const
+    {
+        const Frame frame(direction);
+        const Turn turn(v);
+        const double off = radius_ * std::sqrt(u);
+        const Vec3d origin = centre_ - direction * (2 * radius_) + frame.a * (off * turn.cosine) +
+                             frame.b * (off * turn.sine);
+        return {Vec3f(origin), Vec3f(direction), 0, Source::Sun};
+    }
+    Emitted straight(const Draws::OfPhoton& draw) const
+    {
+        static const double cap = cap_of_cone(kSunRadius);
+        const Vec3d towards = cap_direction(sun_.draw(draw(0)), cap, draw(1), draw(2));
+        Emitted photon = through_disc(-towards, draw(3), draw(4));
+        photon.flux = sun_flux_;
+        return photon;
+    }
+    Emitted from_sky(const Draws::OfPhoton& draw) const
+    {
+        const Vec3d towards = cap_direction(Frame(Vec3d(0, 0, 1)), 1, draw(0), draw(1));
+        Emitted photon = through_disc(-towards, draw(2), draw(3));
+        photon.flux = sky_flux_;
+        photon.source = Source::Sky;
+        return photon;
+    }
+    Vec3d on_lamp(const Frame& frame, double u, double v) const
+    {
+        return centre_ - frame.n * square_.distance + frame.a * (square_.half * (2 * u - 1)) +
+               frame.b * (square_.half * (2 * v - 1));
+    }
+    Emitted from_lamp(const Draws::OfPhoton& draw, std::uint64_t& tries) const
+    {
+        // The place on the lamp is drawn again with the direction: kept, as in the source, it would
+        // make places that see less of the scene send as much as others.
+        for (std::uint64_t k = 0;; k += 5) {
+            ++tries;
+            const double u = draw(k);
+            if (u < least_u_) continue;
+            const Frame frame(-sun_.draw(draw(k + 1)).n);
+            const Vec3d origin = on_lamp(frame, draw(k + 3), draw(k + 4));
+            const Vec3d direction = cosine_direction(frame, u, draw(k + 2));
+            const Vec3d to_centre = centre_ - origin;
+            const double along = dot(to_centre, direction);
+            if (along > 0 && dot(to_centre, to_centre) - along * along <= radius_ * radius_)
+                return {Vec3f(origin), Vec3f(direction), 0, Source::Sun};
+        }
+    }
+    Emitted aimed(const Draws::OfPhoton& draw) const
+    {
+        const Frame frame(-sun_.draw(draw(0)).n);
+        const Vec3d origin = on_lamp(frame, draw(1), draw(2));
+        const Vec3d to_centre = centre_ - origin;
+        const double d2 = dot(to_centre, to_centre), sine2 = radius_ * radius_ / d2;
+        const double cap = sine2 / (1 + std::sqrt(1 - sine2));  // 1 - cos, without cancellation
+        const Vec3d direction =
+            cap_direction(Frame(to_centre / std::sqrt(d2)), cap, draw(3), draw(4));
+        const double cosine = std::max(0.0, dot(direction, frame.n));
+        const double flux = lamp_power_ * cosine * 2 * cap / static_cast<double>(suns_);
+        return {Vec3f(origin), Vec3f(direction), static_cast<float>(flux), Source::Sun};
+    }
+
+    Sun sun_;
+    SunLight kind_;
+    Vec3d centre_;
+    double radius_;
+    Square square_;
+    Draws sun_draws_, sky_draws_;
+    std::uint64_t suns_ = 0, skies_ = 0;
+    float sun_flux_ = 0, sky_flux_ = 0;
+    double lamp_power_ = 0, least_u_ = 0;
+};
+
+/// Follows a photon from where it was met first until it is gone.
+void follow(const PhotonScene& scene, const Emitted& photon, PhotonScene::Hit hit,
+            const Draws::OfPhoton& draw, bool indirect, std::vector<Photon>& out, Ledger& sum)
 {
-    const double radius = scene.radius();
-    const Frame frame(direction);
-    const Turn turn(v);
-    const double off = radius * std::sqrt(u);
-    const Vec3d origin = scene.centre() - direction * (2 * radius) + frame.a * (off * turn.cosine) +
-                         frame.b * (off * turn.sine);
-    return {Vec3f(origin), Vec3f(direction), 0, Source::Sun};
+    const double flux = photon.flux, farthest = 4 * scene.radius() * scene.radius();
+    Vec3f direction = photon.direction;
+    for (int bounce = 0;; ++bounce) {
+        // Rays along a surface may meet it nowhere, or far away.
+        const Vec3d off = hit.position - scene.centre();
+        if (!(dot(off, off) <= farthest)) {
+            sum.lost += flux;
+            return;
+        }
+        out.push_back({Vec3f(hit.position), direction, Vec3f(hit.normal), photon.flux, hit.target,
+                       static_cast<std::uint8_t>(bounce), photon.source,
+                       static_cast<std::uint8_t>(hit.on_moss),
+                       static_cast<std::uint8_t>(hit.back)});
+        sum.stored += flux;
+        const auto first = static_cast<std::uint64_t>(bounce) * 3;
+        if (!(draw(first) < scene.albedo_of(hit.on_moss, hit.target))) {
+            sum.absorbed += flux;
+            return;
+        }
+        sum.reflected += flux;
+        if (!indirect || bounce == kMostBounces) {
+            (indirect ? sum.lost : sum.escaped) += flux;
+            return;
+        }
+        const Vec3f origin = scene.off_surface(hit.position, hit.normal);
+        direction = Vec3f(cosine_direction(Frame(hit.normal), draw(first + 1), draw(first + 2)));
+        if (!scene.intersect(origin, direction, hit)) {
+            sum.escaped += flux;
+            return;
+        }
+    }
+}
+
+/// Whether the line of a ray passes through a box: seen along each axis [Ericson2005, 5.3.3].
+bool may_meet(Vec3d centre, Vec3d half, Vec3f origin, Vec3f direction)
+{
+    const Vec3d d(direction), across = cross(Vec3d(origin) - centre, d);
+    const double x = std::abs(d.x), y = std::abs(d.y), z = std::abs(d.z);
+    return std::abs(across.x) <= half.y * z + half.z * y &&
+           std::abs(across.y) <= half.z * x + half.x * z &&
+           std::abs(across.z) <= half.x * y + half.y * x;
+}
+
+void add(Ledger& all, const Ledger& part)
+{
+    all.emitted += part.emitted;
+    all.missed += part.missed;
+    all.absorbed += part.absorbed;
+    all.escaped += part.escaped;
+    all.lost += part.lost;
+    all.stored += part.stored;
+    all.reflected += part.reflected;
+    all.photons += part.photons;
+    all.tries += part.tries;
+}
+
+/// Follows photons source(i, tries) for i < count.
+template <class Sourced>
+Shot follow_all(const PhotonScene& scene, std::size_t count, const Sourced& source, bool indirect,
+                std::uint64_t seed, std::uint64_t day, const Progress& progress)
+{
+    const Draws draws(seed, day, kBounce);
+    Shot shot;
+    // Balls of moss may stand out of the land's box.
+    Bounds box = scene.bounds();
+    for (const auto& [c, r] : scene.moss()) {
+        box.add(Vec3d(c) - Vec3d(r));
+        box.add(Vec3d(c) + Vec3d(r));
+    }
+    const Vec3d middle = box.centre(), half = box.size() / 2.0 + Vec3d(1e-5 * scene.radius());
+    // Chunks take turns in few buffers, which stay in cache; they are joined in order.
+    std::array<std::vector<Photon>, kWave> stored;
+    std::array<Ledger, kWave> ledgers;
+    const std::size_t chunks = (count + kChunk - 1) / kChunk;
+    for (std::size_t first = 0; first < chunks; first += kWave) {
+        const std::size_t wave = std::min(kWave, chunks - first);
+        parallel_for(wave, [&](std::size_t w) {
+            progress.check();
+            stored[w].clear();
+            ledgers[w] = {};
+            const std::size_t begin = (first + w) * kChunk, end = std::min(count, begin + kChunk);
+            Ledger& sum = ledgers[w];
+            // Made side by side first: they do not wait for one another.
+            std::array<Emitted, kChunk> photons;
+            for (std::size_t i = begin; i < end; ++i) photons[i - begin] = source(i, sum.tries);
+            for (std::size_t i = begin; i < end; ++i) {
+                const Emitted& photon = photons[i - begin];
+                sum.emitted += photon.flux;
+                ++sum.photons;
+                PhotonScene::Hit hit;
+                if (may_meet(middle, half, photon.origin, photon.direction) &&
+                    scene.intersect(photon.origin, photon.direction, hit))
+                    follow(scene, photon, hit, draws[i], indirect, stored[w], sum);
+                else
+                    sum.missed += photon.flux;
+            }
+        });
+        std::size_t more = 0;
+        for (std::size_t w = 0; w < wave; ++w) more += stored[w].size();
+        if (first == 0) shot.photons.reserve(more + more * (chunks - wave) / wave * 17 / 16);
+        for (std::size_t w = 0; w < wave; ++w) {
+            shot.photons.insert(shot.photons.end(), stored[w].begin(), stored[w].end());
+            add(shot.ledger, ledgers[w]);
+        }
+    }
+    return shot;
+}
+
+std::vector<Emitted> emit_all(const Emitter& emitter, std::uint64_t& tries)
+{
+    std::vector<Emitted> photons(emitter.count());
+    tries = parallel_fold(
+        photons.size(), kChunk, std::uint64_t{0},
+        [&](std::size_t begin, std::size_t end) {
+            std::uint64_t drawn = 0;
+            for (std::size_t i = begin; i < end; ++i) photons[i] = emitter(i, drawn);
+            return drawn;
+        },
+        [](std::uint64_t a, std::uint64_t b) { return a + b; });
+    return photons;
 }
 
 }  // namespace
@@ -168,6 +423,13 @@ struct PhotonScene::Rays {
     std::vector<Vec3f> vertices;
     std::vector<rays::TriangleScene::Triangle> triangles;
     std::unique_ptr<rays::TriangleScene> land;
+    /// Of each triangle: where it lies, normal . (x - centre) = offset. One look at 16 bytes
+    /// instead of four at more; as exact as the positions that come of it.
+    struct Plane {
+        Vec3f normal;
+        float offset;
+    };
+    std::vector<Plane> planes;
     RTCDevice device = nullptr;
     RTCScene moss = nullptr;
 
@@ -198,14 +460,23 @@ PhotonScene::PhotonScene(const TriMesh& land, std::span<const float> albedo, dou
     rays_->triangles = land.triangles;
     rays_->land = std::make_unique<rays::TriangleScene>(
         rays_->vertices, rays_->triangles, "photons", progress, RTC_BUILD_QUALITY_HIGH);
-    for (const auto& t : land.triangles)
-        for (const std::uint32_t v : t) bounds_.add(Vec3d(land.vertices[v]));
+    for (const auto& t : land.triangles) {
+        const Vec3d a(land.vertices[t[0]]), b(land.vertices[t[1]]), c(land.vertices[t[2]]);
+        for (const Vec3d corner : {a, b, c}) bounds_.add(corner);
+    }
     bounds_.lower -= Vec3d(moss_height);
     bounds_.upper += Vec3d(moss_height);
     centre_ = bounds_.centre();
     radius_ = length(bounds_.size()) / 2;
     if (!(radius_ > 0)) throw InvalidInput("photons: the mesh is a single point");
     lift_ = kLift * radius_;
+    rays_->planes.resize(land.triangles.size());
+    for (std::size_t i = 0; i < land.triangles.size(); ++i) {
+        const auto& t = land.triangles[i];
+        const Vec3d a(land.vertices[t[0]]), b(land.vertices[t[1]]), c(land.vertices[t[2]]);
+        const Vec3d n = normalized(cross(b - a, c - a));
+        rays_->planes[i] = {Vec3f(n), static_cast<float>(dot(n, (a + b + c) / 3.0 - centre_))};
+    }
 }
 PhotonScene::~PhotonScene() = default;
 
@@ -248,40 +519,35 @@ bool PhotonScene::intersect(Vec3f origin, Vec3f direction, Hit& hit, bool moss_t
 {
     constexpr float kFar = INFINITY;
     const Vec3d o(origin), d(direction);
-    rays::Hit on_land;
-    const bool land = rays_->land->intersect(origin, direction, kNear, kFar, on_land);
-    if (rays_->moss && moss_too) {
-        const float most = land ? static_cast<float>(on_land.distance) : kFar;
-        RTCRayHit query;
-        if (rays::first_hit(rays_->moss, rays::ray_of(origin, direction, kNear, most), query)) {
-            hit.target = query.hit.primID;
-            hit.on_moss = true;
-            const Vec3d c(moss_[hit.target].centre), off = o - c;
-            const double r = static_cast<double>(moss_[hit.target].radius);
-            // Roots of |o + t d - c| = r; Embree tells which of them.
-            const double a = dot(d, d), half_b = dot(off, d);
-            const double root =
-                std::sqrt(std::max(0.0, half_b * half_b - a * (dot(off, off) - r * r)));
-            const double in = (-half_b - root) / a, out = (-half_b + root) / a;
-            const auto met = static_cast<double>(query.ray.tfar);
-            hit.back = std::abs(out - met) < std::abs(in - met);
-            hit.distance = hit.back ? out : in;
-            hit.position = o + d * hit.distance;
-            hit.normal = normalized(hit.position - c) * (hit.back ? -1.0 : 1.0);
-            return true;
-        }
+    const bool land = rays_->land->intersect(origin, direction, kNear, kFar, hit.target);
+    if (land) {
+        const Rays::Plane& plane = rays_->planes[hit.target];
+        const Vec3d n(plane.normal);
+        const double towards = dot(n, d);
+        hit.on_moss = false;
+        hit.back = towards > 0;
+        hit.normal = hit.back ? -n : n;
+        hit.distance = (static_cast<double>(plane.offset) - dot(n, o - centre_)) / towards;
+        hit.position = o + d * hit.distance;
     }
-    if (!land) return false;
-    hit.target = on_land.triangle;
-    hit.on_moss = false;
-    hit.distance = on_land.distance;
+    if (!rays_->moss || !moss_too) return land;
+    const float most = land ? static_cast<float>(hit.distance) : kFar;
+    RTCRayHit query;
+    if (!rays::first_hit(rays_->moss, rays::ray_of(origin, direction, kNear, most), query))
+        return land;
+    hit.target = query.hit.primID;
+    hit.on_moss = true;
+    const Vec3d c(moss_[hit.target].centre), off = o - c;
+    const auto r = static_cast<double>(moss_[hit.target].radius);
+    // Roots of |o + t d - c| = r; Embree tells which of them.
+    const double a = dot(d, d), half_b = dot(off, d);
+    const double root = std::sqrt(std::max(0.0, half_b * half_b - a * (dot(off, off) - r * r)));
+    const double in = (-half_b - root) / a, out = (-half_b + root) / a;
+    const auto met = static_cast<double>(query.ray.tfar);
+    hit.back = std::abs(out - met) < std::abs(in - met);
+    hit.distance = hit.back ? out : in;
     hit.position = o + d * hit.distance;
-    const auto& t = rays_->triangles[hit.target];
-    const Vec3d a(rays_->vertices[t[0]]);
-    const Vec3d n =
-        normalized(cross(Vec3d(rays_->vertices[t[1]]) - a, Vec3d(rays_->vertices[t[2]]) - a));
-    hit.back = dot(n, d) > 0;
-    hit.normal = hit.back ? -n : n;
+    hit.normal = normalized(hit.position - c) * (hit.back ? -1.0 : 1.0);
     return true;
 }
 
@@ -296,210 +562,37 @@ std::vector<Emitted> emit(const PhotonScene& scene, const Daylight& daylight,
                           const PhotonParams& params, std::uint64_t seed, std::uint64_t day,
                           std::uint64_t& tries)
 {
-    validate(params);
-    const double radius = scene.radius();
-    check_square(params, radius);
-    const Sun sun(daylight);
-
-    // Share photons by the power that enters the scene's ball.
-    const double sun_power = sun.irradiance * kPi * radius * radius;
-    const double sky_power = daylight.sky * 2 * kPi * radius * radius;
-    std::int64_t suns = 0, skies = 0;
-    if (sun_power > 0 && sky_power > 0) {
-        const auto all = static_cast<double>(params.photons);
-        suns =
-            static_cast<std::int64_t>(std::floor(all * sun_power / (sun_power + sky_power) + 0.5));
-        suns = std::clamp<std::int64_t>(suns, 1, std::max<std::int64_t>(1, params.photons - 1));
-        skies = std::max<std::int64_t>(1, params.photons - suns);
-    } else
-        (sun_power > 0 ? suns : skies) = sun_power + sky_power > 0 ? params.photons : 0;
-    const auto sun_count = static_cast<std::size_t>(suns),
-               sky_count = static_cast<std::size_t>(skies);
-    std::vector<Emitted> photons(sun_count + sky_count);
-    const std::uint64_t key = seed_of_day(seed, day);
-
-    // The sun, straight or from a lamp.
-    const Square square = square_of(params, radius);
-    const double lamp_power = sun_count == 0
-                                  ? 0
-                                  : square_exitance(sun.irradiance, square.half, square.distance) *
-                                        4 * square.half * square.half;
-    auto straight = [&](const Draws& draw) {
-        Emitted photon =
-            through_disc(scene, -cone_direction(sun.draw(draw(0)), kSunRadius, draw(1), draw(2)),
-                         draw(3), draw(4));
-        photon.flux = static_cast<float>(sun_power / static_cast<double>(suns));
-        return photon;
-    };
-    auto on_lamp = [&](const Frame& frame, double u, double v) {
-        return scene.centre() - frame.n * square.distance + frame.a * (square.half * (2 * u - 1)) +
-               frame.b * (square.half * (2 * v - 1));
-    };
-    // Directions farther off the lamp's axis than this miss the scene from everywhere on it.
-    const double corner = square.half * std::sqrt(2.0);
-    const double widest =
-        math::atan2(corner, square.distance) +
-        math::atan2(radius,
-                    std::sqrt(square.distance * square.distance -
-                              std::min(radius * radius, 0.99 * square.distance * square.distance)));
-    const double least_cosine = widest < kPi / 2 ? math::cos(widest) * (1 - 1e-9) : 0;
-    auto from_lamp = [&](const Draws& draw, std::uint64_t& drawn) {
-        // The place on the lamp is drawn again with the direction: kept, as in the source, it would
-        // make places that see less of the scene send as much as others.
-        for (std::uint64_t first = 0;; first += 5) {
-            ++drawn;
-            const double u = draw(first);
-            if (u < least_cosine * least_cosine) continue;
-            const Frame frame(-sun.draw(draw(first + 1)));
-            const Vec3d origin = on_lamp(frame, draw(first + 3), draw(first + 4));
-            const Vec3d direction = cosine_direction(frame, u, draw(first + 2));
-            const Vec3d to_centre = scene.centre() - origin;
-            const double along = dot(to_centre, direction);
-            if (along > 0 && dot(to_centre, to_centre) - along * along <= radius * radius)
-                return Emitted{Vec3f(origin), Vec3f(direction), 0, Source::Sun};
-        }
-    };
-    auto into_cone = [&](const Draws& draw) {
-        const Frame frame(-sun.draw(draw(0)));
-        const Vec3d origin = on_lamp(frame, draw(1), draw(2));
-        const Vec3d to_centre = scene.centre() - origin;
-        const double d2 = dot(to_centre, to_centre), sine2 = radius * radius / d2;
-        // 1 - cos without cancellation
-        const double cap = sine2 / (1 + std::sqrt(1 - sine2));
-        const Vec3d direction =
-            cap_direction(Frame(to_centre / std::sqrt(d2)), cap, draw(3), draw(4));
-        const double cosine = std::max(0.0, dot(direction, frame.n));
-        const double flux = lamp_power * cosine * 2 * cap / static_cast<double>(suns);
-        return Emitted{Vec3f(origin), Vec3f(direction), static_cast<float>(flux), Source::Sun};
-    };
-    tries = parallel_fold(
-        sun_count, kChunk, std::uint64_t{0},
-        [&](std::size_t begin, std::size_t end) {
-            std::uint64_t drawn = 0;
-            for (std::size_t i = begin; i < end; ++i) {
-                const Draws draw(key, kSunPhoton, i);
-                switch (params.sun_light) {
-                    case SunLight::Parallel:
-                        photons[i] = straight(draw);
-                        ++drawn;
-                        break;
-                    case SunLight::Square:
-                        photons[i] = from_lamp(draw, drawn);
-                        break;
-                    case SunLight::SquareCone:
-                        photons[i] = into_cone(draw);
-                        ++drawn;
-                        break;
-                }
-            }
-            return drawn;
-        },
-        [](std::uint64_t a, std::uint64_t b) { return a + b; });
-    if (params.sun_light == SunLight::Square && sun_count > 0) {
-        const auto flux = static_cast<float>(lamp_power / static_cast<double>(tries));
+    const Emitter emitter(scene, daylight, params, seed, day);
+    std::vector<Emitted> photons = emit_all(emitter, tries);
+    if (params.sun_light == SunLight::Square && emitter.suns() > 0) {
+        // How bright a lamp's photons are is known when all of its directions are drawn.
+        const float flux = emitter.lamp_flux(tries);
         parallel_for(
-            sun_count, [&](std::size_t i) { photons[i].flux = flux; }, 16384);
+            emitter.suns(), [&](std::size_t i) { photons[i].flux = flux; }, 16384);
     }
-
-    // The sky: uniform over its half sphere.
-    const auto sky_flux =
-        static_cast<float>(sky_power / static_cast<double>(std::max<std::int64_t>(1, skies)));
-    parallel_for(
-        sky_count,
-        [&](std::size_t i) {
-            const Draws draw(key, kSkyPhoton, i);
-            const Vec3d towards = cap_direction(Frame(Vec3d(0, 0, 1)), 1, draw(0), draw(1));
-            Emitted& photon = photons[sun_count + i];
-            photon = through_disc(scene, -towards, draw(2), draw(3));
-            photon.flux = sky_flux;
-            photon.source = Source::Sky;
-        },
-        kChunk);
     return photons;
 }
 
 Shot trace(const PhotonScene& scene, std::span<const Emitted> emitted, bool indirect,
            std::uint64_t seed, std::uint64_t day, const Progress& progress)
 {
-    const std::uint64_t key = seed_of_day(seed, day);
-    const std::size_t chunks = (emitted.size() + kChunk - 1) / kChunk;
-    std::vector<std::vector<Photon>> stored(chunks);
-    std::vector<Ledger> ledgers(chunks);
-    parallel_for(chunks, [&](std::size_t c) {
-        progress.check();
-        std::vector<Photon>& out = stored[c];
-        out.reserve(kChunk);
-        Ledger sum;
-        for (std::size_t i = c * kChunk; i < std::min(emitted.size(), (c + 1) * kChunk); ++i) {
-            const Draws draw(key, kBounce, i);
-            const double flux = emitted[i].flux;
-            Vec3f origin = emitted[i].origin, direction = emitted[i].direction;
-            sum.emitted += flux;
-            for (int bounce = 0;; ++bounce) {
-                PhotonScene::Hit hit;
-                if (!scene.intersect(origin, direction, hit)) {
-                    (bounce == 0 ? sum.missed : sum.escaped) += flux;
-                    break;
-                }
-                if (!std::isfinite(hit.position.x + hit.position.y + hit.position.z)) {
-                    sum.lost += flux;
-                    break;
-                }
-                out.push_back({Vec3f(hit.position), direction, Vec3f(hit.normal), emitted[i].flux,
-                               hit.target, static_cast<std::uint8_t>(bounce), emitted[i].source,
-                               static_cast<std::uint8_t>(hit.on_moss),
-                               static_cast<std::uint8_t>(hit.back)});
-                sum.stored += flux;
-                const auto first = static_cast<std::uint64_t>(bounce) * 3;
-                if (!(draw(first) < scene.albedo_of(hit.on_moss, hit.target))) {
-                    sum.absorbed += flux;
-                    break;
-                }
-                sum.reflected += flux;
-                if (!indirect || bounce == kMostBounces) {
-                    (indirect ? sum.lost : sum.escaped) += flux;
-                    break;
-                }
-                origin = scene.off_surface(hit.position, hit.normal);
-                direction =
-                    Vec3f(cosine_direction(Frame(hit.normal), draw(first + 1), draw(first + 2)));
-            }
-        }
-        sum.photons = std::min(emitted.size(), (c + 1) * kChunk) - c * kChunk;
-        ledgers[c] = sum;
-    });
-
-    // Join the chunks in order.
-    Shot shot;
-    std::vector<std::size_t> counts(chunks);
-    for (std::size_t c = 0; c < chunks; ++c) counts[c] = stored[c].size();
-    const std::vector<std::size_t> offset = prefix_sum(counts);
-    shot.photons.resize(offset.back());
-    parallel_for(chunks, [&](std::size_t c) {
-        std::ranges::copy(stored[c], shot.photons.begin() + static_cast<std::ptrdiff_t>(offset[c]));
-        std::vector<Photon>().swap(stored[c]);
-    });
-    Ledger& all = shot.ledger;
-    for (const Ledger& part : ledgers) {
-        all.emitted += part.emitted;
-        all.missed += part.missed;
-        all.absorbed += part.absorbed;
-        all.escaped += part.escaped;
-        all.lost += part.lost;
-        all.stored += part.stored;
-        all.reflected += part.reflected;
-        all.photons += part.photons;
-    }
-    return shot;
+    auto source = [&](std::size_t i, std::uint64_t&) { return emitted[i]; };
+    return follow_all(scene, emitted.size(), source, indirect, seed, day, progress);
 }
 
 Shot shoot(const PhotonScene& scene, const Daylight& daylight, const PhotonParams& params,
            std::uint64_t seed, std::uint64_t day, const Progress& progress)
 {
-    std::uint64_t tries = 0;
-    const std::vector<Emitted> emitted = emit(scene, daylight, params, seed, day, tries);
-    Shot shot = trace(scene, emitted, params.indirect, seed, day, progress);
-    shot.ledger.tries = tries;
+    Shot shot;
+    if (params.sun_light == SunLight::Square) {
+        std::uint64_t tries = 0;
+        const std::vector<Emitted> emitted = emit(scene, daylight, params, seed, day, tries);
+        shot = trace(scene, emitted, params.indirect, seed, day, progress);
+        shot.ledger.tries = tries;
+    } else {
+        const Emitter emitter(scene, daylight, params, seed, day);
+        shot = follow_all(scene, emitter.count(), emitter, params.indirect, seed, day, progress);
+    }
     if (shot.ledger.lost > 1e-6 * shot.ledger.emitted)
         log::warning("photons: {:.3g} of {:.3g} W were lost on day {}", shot.ledger.lost,
                      shot.ledger.emitted, day);

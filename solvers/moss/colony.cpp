@@ -374,7 +374,9 @@ private:
 
         // Everybody: plants, then resting seeds, then those that came down.
         const std::size_t old_seeds = plants.size(), first = old_seeds + seeds.size();
-        std::vector<Vec3f> feet(plants.foot);
+        std::vector<Vec3f> feet;
+        feet.reserve(first + down.size());
+        feet.insert(feet.end(), plants.foot.begin(), plants.foot.end());
         feet.insert(feet.end(), seeds.foot.begin(), seeds.foot.end());
         for (const std::uint32_t j : down) feet.push_back(landed_[j].foot);
         const TooClose too_close(feet, first, in_sizes(kApart, params_));
@@ -426,9 +428,9 @@ private:
         if (seeds.size() <= most) return;
         const std::size_t n = seeds.size() - most;
         for (std::size_t i = 0; i < n; ++i) ++of(seeds.species[i]).dropped;
-        std::vector<std::uint8_t> keep(seeds.size(), 1);
-        std::fill_n(keep.begin(), n, 0);
-        keep_only(seeds, keep);
+        each_array_in_parallel(seeds, [&](auto& v) {
+            v.erase(v.begin(), v.begin() + static_cast<std::ptrdiff_t>(n));
+        });
     }
 
     Colony colony_;  // becomes the result when all has gone well

@@ -1,9 +1,11 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <span>
 #include <vector>
 
+#include "core/parallel.h"
 #include "solvers/moss/colony.h"
 
 /// What is done to all arrays of individuals alike. Not for use outside solvers/moss.
@@ -41,6 +43,15 @@ void each_array(const Seeds& p, F&& f)
     f(p.kind);
 }
 
+/// Calls f for every array, side by side.
+template <class P, class F>
+void each_array_in_parallel(P& individuals, F&& f)
+{
+    std::vector<std::function<void()>> tasks;
+    each_array(individuals, [&](auto& v) { tasks.push_back([&v, &f] { f(v); }); });
+    parallel_for(tasks.size(), [&](std::size_t k) { tasks[k](); });
+}
+
 /// Leaves those with keep[i] != 0, in their order.
 template <class P>
 void keep_only(P& individuals, std::span<const std::uint8_t> keep)
@@ -48,7 +59,7 @@ void keep_only(P& individuals, std::span<const std::uint8_t> keep)
     std::size_t first = 0;
     while (first < keep.size() && keep[first]) ++first;
     if (first == keep.size()) return;
-    each_array(individuals, [&](auto& v) {
+    each_array_in_parallel(individuals, [&](auto& v) {
         std::size_t to = first;
         for (std::size_t i = first; i < keep.size(); ++i)
             if (keep[i]) v[to++] = v[i];

@@ -207,6 +207,16 @@ public:
         return true;
     }
 
+    /// The same without distance and weights, for whoever works them out in another way.
+    bool intersect(Vec3f origin, Vec3f direction, float near, float far,
+                   std::uint32_t& triangle) const
+    {
+        RTCRayHit query;
+        if (!first_hit(scene_, ray_of(origin, direction, near, far), query)) return false;
+        triangle = query.hit.primID;
+        return true;
+    }
+
     /// Whether anything is met at a distance in [near, far].
     bool occluded(Vec3f origin, Vec3f direction, float near, float far) const
     {

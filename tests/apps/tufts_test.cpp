@@ -421,10 +421,10 @@ TEST(Tufts, AnotherLevelOfDetailIsAsBrightAsGreenAndAsWide)
 TEST(Tufts, TheLevelOfDetailFollowsTheSizeInThePicture)
 {
     EXPECT_EQ(tuft_lod(INFINITY), 0);
-    EXPECT_EQ(tuft_lod(20), 0);
-    EXPECT_EQ(tuft_lod(19), 1);
-    EXPECT_EQ(tuft_lod(4), 1);
-    EXPECT_EQ(tuft_lod(3), 2);
+    EXPECT_EQ(tuft_lod(10), 0);
+    EXPECT_EQ(tuft_lod(9.9), 1);
+    EXPECT_EQ(tuft_lod(3), 1);
+    EXPECT_EQ(tuft_lod(2.9), 2);
     // Plants of diameter 3 cm; a pixel is 1 mrad wide.
     auto triangles = [](double distance, float scale) {
         Tuft t;
@@ -432,11 +432,11 @@ TEST(Tufts, TheLevelOfDetailFollowsTheSizeInThePicture)
         t.scale = scale;
         return Tufts({t}, kSpecies, kSize, 1, {Vec3d(0, 0, distance), 0.001}).triangles();
     };
-    EXPECT_GT(triangles(1.4, 1), 2000u);
-    EXPECT_LT(triangles(1.6, 1), 300u);
-    EXPECT_LT(triangles(1.4, 0.5f), 300u);
-    EXPECT_GT(triangles(7.4, 1), 200u);
-    EXPECT_LT(triangles(7.6, 1), 30u);
+    EXPECT_GT(triangles(2.9, 1), 2000u);
+    EXPECT_LT(triangles(3.1, 1), 300u);
+    EXPECT_LT(triangles(2.9, 0.5f), 300u);
+    EXPECT_GT(triangles(9.9, 1), 200u);
+    EXPECT_LT(triangles(10.1, 1), 30u);
 }
 
 TEST(Tufts, DryMossIsPalerAndYellowerAndSoakedMossDarker)

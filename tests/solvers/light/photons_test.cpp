@@ -157,7 +157,9 @@ TEST(Photons, LobesHaveTheirMeans)
         const double u = uniform01(1, kDraw, i, 0), v = uniform01(1, kDraw, i, 1);
         cosine += cosine_direction(frame, u, v) / n;
         half += cap_direction(frame, 1, u, v) / n;
-        cone += cone_direction(frame.n, pi / 4, u, v) / n;
+        cone += cap_direction(frame, cap_of_cone(pi / 4), u, v) / n;
+        ASSERT_NEAR(Turn(u).sine, std::sin(2 * pi * u), 2e-15);
+        ASSERT_NEAR(Turn(u).cosine, std::cos(2 * pi * u), 2e-15);
         ASSERT_NEAR(length(cosine_direction(frame, u, v)), 1, 1e-12);
     }
     const double sigma3 = 3 / std::sqrt(n) * 0.3;

@@ -227,10 +227,11 @@ TEST(Colony, FiveAroundEncloseUnlessTheyLeaveAGap)
         return interior(colony.plants, kParams)[0] == 1;
     };
     EXPECT_TRUE(enclosed({10, 82, 154, 226, 298}));
-    EXPECT_FALSE(enclosed({10, 82, 154, 226}));               // four
+    EXPECT_FALSE(enclosed({0, 90, 180, 270}));                // four
     EXPECT_TRUE(enclosed({0, 119, 150, 180, 241}));           // gaps of 119
     EXPECT_FALSE(enclosed({0, 121, 150, 180, 241}));          // one of 121
     EXPECT_FALSE(enclosed({0, 30, 60, 90, 120, 150, 170}));   // one of 190
+    EXPECT_FALSE(enclosed({0, 20, 40, 60, 80, 100}));         // one of 260
     EXPECT_FALSE(enclosed({10, 82, 154, 226, 298}, 0.0131));  // too far
 }
 
@@ -348,6 +349,24 @@ TEST(Colony, FirstSettlersAreAsManyAsAskedUniformOnTheLand)
     for (std::size_t i = 0; i < 6000; ++i)
         for (std::size_t j = 0; j < i; ++j)
             ASSERT_GE(length(colony.plants.foot[i] - colony.plants.foot[j]), 0.0049999F);
+}
+
+TEST(Colony, WithinALargeTriangleSettlersAreUniformToo)
+{
+    MeshSites one = mesh_sites(floor_mesh(2, 1), 3, {});
+    ASSERT_EQ(one.size(), 2u);
+    one.area[1] = 0;  // leaves the triangle (0, 0), (2, 0), (2, 1)
+    const Community community{std::span(kThree).first(1), {}, {.initial_count = 4000}, 34};
+    const Colony colony = first_settlers(community, {.size = 1e-4}, one);
+    ASSERT_EQ(colony.plants.size(), 4000u);
+    double x = 0, y = 0, xy = 0;
+    for (const Vec3f& p : colony.plants.foot) {
+        EXPECT_LE(p.y, p.x / 2 + 1e-6F);
+        x += double(p.x) / 4000, y += double(p.y) / 4000, xy += double(p.x * p.y) / 4000;
+    }
+    EXPECT_NEAR(x, 4.0 / 3, 3 * std::sqrt(4.0 / 18 / 4000));
+    EXPECT_NEAR(y, 1.0 / 3, 3 * std::sqrt(1.0 / 18 / 4000));
+    EXPECT_NEAR(xy, 0.5, 0.02);
 }
 
 TEST(Colony, FirstSettlersAreFewerWhereThereIsNoRoomOrACap)

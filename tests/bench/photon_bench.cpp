@@ -1,0 +1,315 @@
+// A day of photons: tracing against a bare loop of Embree's closest-hit rays over the same mix of
+// rays, searches built, estimates. Prints: case, size, threads, seconds, what it comes to, hash.
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cstring>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "core/mesh_sites.h"
+#include "core/parallel.h"
+#include "core/random.h"
+#include "solvers/light/lobes.h"
+#include "solvers/light/photon_map.h"
+#include "solvers/rays/embree.h"
+#include "tests/bench/measure.h"
+#include "tests/support/roof.h"
+
+namespace {
+
+using namespace sekitei;
+using bench::hash_of;
+using bench::median;
+using bench::seconds_of;
+
+/// A scene without wrappers: land and moss as one.
+struct RawScene {
+    RTCDevice device = rtcNewDevice(nullptr);
+    RTCScene scene = rtcNewScene(device);
+    RawScene(const TriMesh& mesh, const std::vector<Sphere>& moss)
+    {
+        RTCGeometry g = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
+        auto* points = static_cast<Vec3f*>(rtcSetNewGeometryBuffer(
+            g, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, sizeof(Vec3f), mesh.vertices.size()));
+        std::ranges::copy(mesh.vertices, points);
+        auto* corners = static_cast<std::array<std::uint32_t, 3>*>(rtcSetNewGeometryBuffer(
+            g, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12, mesh.triangles.size()));
+        std::ranges::copy(mesh.triangles, corners);
+        attach(g);
+        if (!moss.empty()) {
+            g = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_SPHERE_POINT);
+            auto* balls = static_cast<Sphere*>(rtcSetNewGeometryBuffer(
+                g, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT4, sizeof(Sphere), moss.size()));
+            std::ranges::copy(moss, balls);
+            attach(g);
+        }
+        rtcSetSceneFlags(scene, RTC_SCENE_FLAG_ROBUST);
+        rtcSetSceneBuildQuality(scene, RTC_BUILD_QUALITY_HIGH);
+        rtcCommitScene(scene);
+    }
+    void attach(RTCGeometry g)
+    {
+        rtcCommitGeometry(g);
+        rtcAttachGeometry(scene, g);
+        rtcReleaseGeometry(g);
+    }
+    ~RawScene()
+    {
+        rtcReleaseScene(scene);
+        rtcReleaseDevice(device);
+    }
+    RawScene(const RawScene&) = delete;
+    RawScene& operator=(const RawScene&) = delete;
+};
+
+struct RecordedRay {
+    Vec3f origin, direction;
+};
+
+/// The rays of the photons: the first ones, and from stored hits as many as were reflected, drawn
+/// alike.
+std::vector<RecordedRay> record(const light::PhotonScene& scene,
+                                const std::vector<light::Emitted>& emitted,
+                                const std::vector<light::Photon>& stored)
+{
+    constexpr Stream kDraw{"photon_bench.reflected"};
+    std::vector<RecordedRay> rays;
+    for (const auto& e : emitted) rays.push_back({e.origin, e.direction});
+    for (std::size_t i = 0; i < stored.size(); ++i) {
+        const light::Photon& p = stored[i];
+        if (uniform01(1, kDraw, i, 0) >= scene.albedo_of(p.on_moss, p.target)) continue;
+        const Vec3d n(p.normal);
+        rays.push_back({scene.off_surface(Vec3d(p.position), n),
+                        Vec3f(light::cosine_direction(light::Frame(n), uniform01(1, kDraw, i, 1),
+                                                      uniform01(1, kDraw, i, 2)))});
+    }
+    return rays;
+}
+
+/// As Embree's manual writes it.
+std::vector<std::uint32_t> raw_hits(RTCScene scene, const std::vector<RecordedRay>& rays)
+{
+    std::vector<std::uint32_t> met(rays.size());
+    parallel_for(
+        rays.size(),
+        [&](std::size_t i) {
+            RTCRayHit q{};
+            q.ray.org_x = rays[i].origin.x;
+            q.ray.org_y = rays[i].origin.y;
+            q.ray.org_z = rays[i].origin.z;
+            q.ray.dir_x = rays[i].direction.x;
+            q.ray.dir_y = rays[i].direction.y;
+            q.ray.dir_z = rays[i].direction.z;
+            q.ray.tnear = 1e-4f;
+            q.ray.tfar = INFINITY;
+            q.ray.mask = 0xFFFFFFFFu;
+            q.hit.geomID = q.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+#if RTC_VERSION_MAJOR >= 4
+            rtcIntersect1(scene, &q, nullptr);
+#else
+            RTCIntersectContext context;
+            rtcInitIntersectContext(&context);
+            rtcIntersect1(scene, &context, &q);
+#endif
+            met[i] = q.hit.primID;
+        },
+        2048);
+    return met;
+}
+
+struct Bench {
+    std::string name;
+    int rounds;
+    std::function<void()> work;
+    std::function<std::string()> hash;
+    std::function<std::string(double)> note;
+};
+
+/// Medians of rounds that take turns, on two threads and on one. Returns seconds by case, 2
+/// threads.
+std::vector<double> run(const std::string& what, const std::vector<Bench>& cases)
+{
+    fmt::print("{}\n", what);
+    std::vector<std::vector<double>> times(2 * cases.size());
+    std::vector<std::string> hashes(2 * cases.size());
+    for (int round = 0; round < 7; ++round)
+        for (std::size_t c = 0; c < cases.size(); ++c)
+            for (const std::size_t threads : {2u, 1u}) {
+                if (round >= cases[c].rounds) continue;
+                const ThreadLimit limit(threads);
+                times[2 * c + threads - 1].push_back(seconds_of(cases[c].work));
+                hashes[2 * c + threads - 1] = cases[c].hash();
+            }
+    std::vector<double> two;
+    for (std::size_t c = 0; c < cases.size(); ++c) {
+        const double one = median(times[2 * c]);
+        two.push_back(median(times[2 * c + 1]));
+        fmt::print("{}: 1 thread {:.2f} ms, 2 threads {:.2f} ms ({:.2f} x), {}, {} {}\n",
+                   cases[c].name, 1e3 * one, 1e3 * two.back(), one / two.back(),
+                   cases[c].note(two.back()), hashes[2 * c],
+                   hashes[2 * c] == hashes[2 * c + 1] ? "same" : "DIFFERENT");
+    }
+    return two;
+}
+
+template <class T>
+std::string hash_bytes(const std::vector<T>& values)
+{
+    return hash_of(values);
+}
+
+/// Plants on the land at random, facing up or out.
+struct Plants {
+    std::vector<Sphere> balls;
+    std::vector<Vec3f> foot, normal;
+    std::vector<std::uint32_t> site;
+    std::vector<std::int32_t> plant;
+
+    Plants(const MeshSites& sites, std::size_t count)
+    {
+        constexpr Stream kPlant{"photon_bench.plant"};
+        for (std::size_t i = 0; i < count; ++i) {
+            const auto j = static_cast<std::size_t>(uniform01(3, kPlant, i) *
+                                                    static_cast<double>(sites.size()));
+            foot.push_back(sites.position[j]);
+            normal.push_back(sites.normal[j]);
+            site.push_back(static_cast<std::uint32_t>(j));
+            plant.push_back(static_cast<std::int32_t>(i));
+            const float r = 0.002f + 0.003f * static_cast<float>(uniform01(4, kPlant, i));
+            balls.push_back({sites.position[j] + sites.normal[j] * r, r});
+        }
+    }
+};
+
+void day_on(const std::string& name, const TriMesh& mesh, double longest_edge, std::size_t plants,
+            double sky)
+{
+    const MeshSites sites = mesh_sites(mesh, longest_edge, {});
+    light::PhotonScene scene(sites.mesh, std::vector<float>(sites.size(), 0.5f), 0.2, 0.0, {});
+    const Plants moss(sites, plants);
+    scene.set_moss(moss.balls);
+    const light::Daylight daylight{{{{0, 0, 1}, 150 - sky}}, sky};
+    const light::PhotonParams params;
+    const RawScene raw(sites.mesh, moss.balls);
+
+    std::uint64_t tries = 0;
+    std::vector<light::Emitted> emitted = light::emit(scene, daylight, params, 1, 1, tries);
+    light::Shot shot = light::trace(scene, emitted, true, 1, 1, {});
+    const std::vector<RecordedRay> rays = record(scene, emitted, shot.photons);
+    std::vector<std::uint32_t> met;
+    const auto ray_count = static_cast<double>(rays.size());
+    auto rate = [&](double s) { return fmt::format("{:.2f} M rays/s", ray_count / s / 1e6); };
+    auto photon_rate = [&](double s) {
+        return fmt::format("{:.2f} M rays/s, {:.2f} M photons/s", ray_count / s / 1e6,
+                           static_cast<double>(params.photons) / s / 1e6);
+    };
+    const auto tracing = run(
+        fmt::format("{}: {} sites, {} plants, {} photons emitted, {} stored, sky {} of 150 W/m^2",
+                    name, sites.size(), plants, emitted.size(), shot.photons.size(), sky),
+        {{"bare Embree, the same kind of rays (peer)", 5, [&] { met = raw_hits(raw.scene, rays); },
+          [&] { return hash_bytes(met); }, rate},
+         {"emit", 5, [&] { emitted = light::emit(scene, daylight, params, 1, 1, tries); },
+          [&] { return hash_bytes(emitted); }, photon_rate},
+         {"emission to stored hits", 5,
+          [&] { shot = light::shoot(scene, daylight, params, 1, 1, {}); },
+          [&] { return hash_bytes(shot.photons); }, photon_rate},
+         {"moss into the scene", 3, [&] { scene.set_moss(moss.balls); },
+          [] { return std::string(); }, [](double) { return std::string(); }}});
+    fmt::print("tracing / bare Embree: {:.2f}\n", tracing[0] / tracing[2]);
+
+    for (const light::PhotonSearch search :
+         {light::PhotonSearch::Cells, light::PhotonSearch::Tree}) {
+        light::PhotonParams p = params;
+        p.photon_search = search;
+        const light::SiteKernel kernel(sites.position, sites.normal, sites.area, p, 0.01);
+        std::vector<Vec3f> points;
+        for (const auto& photon : shot.photons) points.push_back(photon.position);
+        const std::vector<float> areas = kernel.kernel_area(moss.foot, moss.normal);
+        const light::MossHosts hosts{moss.foot, moss.normal, moss.site};
+        const light::PhotonMap map(shot.photons, hosts, kernel, p);
+        light::Irradiance on_sites, on_plants;
+        std::vector<std::uint32_t> order;
+        // Photons within the radius, those on the other side and off the slab included.
+        double tests = 0;
+        const CellIndex cells(points, static_cast<float>(p.photon_radius));
+        for (const auto* at : {&sites.position, &moss.foot})
+            tests += parallel_sum(at->size(), [&](std::size_t i) {
+                std::size_t n = 0;
+                cells.within_slots((*at)[i], static_cast<float>(p.photon_radius),
+                                   [&](std::size_t, float) { ++n; });
+                return static_cast<double>(n);
+            });
+        auto keep_order = [&](const auto& index) {
+            order.clear();
+            for (const auto& s : index.points()) order.push_back(s.index);
+        };
+        const bool tree = search == light::PhotonSearch::Tree;
+        KdTree kd;
+        CellIndex ci;
+        run(tree ? "by tree" : "by cells",
+            {{"index alone", 7,
+              [&] {
+                  if (tree)
+                      kd = KdTree(points);
+                  else
+                      ci = CellIndex(points, static_cast<float>(p.photon_radius));
+              },
+              [&] {
+                  if (tree)
+                      keep_order(kd);
+                  else
+                      keep_order(ci);
+                  return hash_bytes(order);
+              },
+              [&](double s) {
+                  return fmt::format("{:.1f} ms for 262144 points",
+                                     1e3 * s * 262144 / static_cast<double>(points.size()));
+              }},
+             {"photon map", 5,
+              [&] { const light::PhotonMap again(shot.photons, hosts, kernel, p); },
+              [] { return std::string(); }, [](double) { return std::string(); }},
+             {"estimates at sites and plants", 3,
+              [&] {
+                  on_sites = map.at_sites({});
+                  on_plants = map.at({moss.foot, moss.normal, areas, moss.plant}, on_sites, {});
+              },
+              [&] { return hash_bytes(on_sites.indirect) + hash_bytes(on_plants.beam); },
+              [&](double s) {
+                  return fmt::format("{:.0f} M photons in reach/s, {:.0f} a place", tests / s / 1e6,
+                                     tests / static_cast<double>(sites.size() + plants));
+              }}});
+    }
+    fmt::print("bytes: {} a photon, {} more in the map\n\n", sizeof(light::Photon),
+               light::PhotonMap::bytes_per_photon());
+}
+
+/// A floor and a boulder of about a million triangles.
+TriMesh rock()
+{
+    TriMesh ball = shapes::ball({0, 0, 0.3}, 0.5, 8);
+    for (Vec3f& v : ball.vertices) {
+        const Vec3d out = normalized(Vec3d(v) - Vec3d(0, 0, 0.3));
+        double bump = 0, size = 0.08;
+        for (double f = 3; f < 200; f *= 2, size *= 0.55)
+            bump += size * std::sin(f * out.x + 1.3 * f * out.y) *
+                    std::cos(1.1 * f * out.z - f * out.y);
+        v = Vec3f(Vec3d(v) + out * bump);
+    }
+    return roof::joined({shapes::box({-1.5, -1.5, -0.2}, {1.5, 1.5, 0}), ball});
+}
+
+}  // namespace
+
+int main(int argc, char** argv)
+{
+    const std::string which = argc > 1 ? argv[1] : "all";
+    if (which != "rock") {
+        day_on("roof, bare", roof::mesh(), 0.05, 0, 0);
+        day_on("roof, mossy", roof::mesh(), 0.05, 16384, 0);
+        day_on("roof, mossy, sky", roof::mesh(), 0.05, 16384, 60);
+    }
+    if (which != "roof") day_on("rock", rock(), 0.02, 16384, 60);
+}
