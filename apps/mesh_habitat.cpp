@@ -4,6 +4,8 @@
 #include <fmt/ranges.h>
 
 #include <algorithm>
+#include <array>
+#include <cmath>
 
 #include "core/error.h"
 #include "core/log.h"
@@ -130,9 +132,12 @@ void put_sites(Scene& scene, const MeshSites& sites, const TriMesh& was,
                const std::string& stage)
 {
     TriMesh mesh = sites.mesh;
-    for (const auto& [name, values] : was.face_attributes)
-        mesh.face_attributes[name] = carried(values, sites.face);
     Points points;
+    for (const auto& [name, values] : was.face_attributes) {
+        mesh.face_attributes[name] = carried(values, sites.face);
+        std::visit([&](const auto& list) { points.attributes[name] = list; },
+                   mesh.face_attributes[name]);
+    }
     for (const Vec3f p : sites.position) points.position.emplace_back(p);
     points.attributes = {{"N", sites.normal},
                          {"area", sites.area},
@@ -225,6 +230,104 @@ std::vector<std::int32_t> geology_of(const TriMesh& mesh, const MeshSites& sites
                 geology[i], sites.face[i], known, kOwnSoil));
     }
     return geology;
+}
+
+namespace {
+
+constexpr std::array<const char*, 9> kZoneColumns{
+    "day", "zone", "species", "living", "growth", "light", "light_sd", "theta", "theta_median"};
+
+/// The value that half the area does not exceed.
+double median_by_area(std::vector<std::pair<double, double>>& values)
+{
+    std::ranges::sort(values);
+    double area = 0, below = 0;
+    for (const auto& [value, a] : values) area += a;
+    for (const auto& [value, a] : values)
+        if ((below += a) >= area / 2) return value;
+    return 0;
+}
+
+}  // namespace
+
+ZoneStatistics::ZoneStatistics(const TriMesh& mesh, const MeshSites& sites, int species)
+    : sites_(sites), species_(species)
+{
+    const auto found = mesh.face_attributes.find("zone");
+    if (found == mesh.face_attributes.end()) return;
+    const auto* zone = std::get_if<std::vector<std::int32_t>>(&found->second);
+    if (!zone) throw InvalidInput("the mesh's attribute 'zone' holds no whole numbers");
+    zones_ = *zone;
+    std::ranges::sort(zones_);
+    zones_.erase(std::ranges::unique(zones_).begin(), zones_.end());
+    if (zones_.size() > 1000)
+        throw InvalidInput(
+            fmt::format("the mesh's attribute 'zone' has {} values, at most 1000", zones_.size()));
+    for (const std::uint32_t face : sites.face)
+        of_site_.push_back(static_cast<std::uint32_t>(
+            std::ranges::lower_bound(zones_, (*zone)[face]) - zones_.begin()));
+}
+
+void ZoneStatistics::add(int day, const moss::Plants& plants, std::span<const float> light,
+                         const std::vector<double>& water, const std::vector<float>& depth)
+{
+    if (empty()) return;
+    struct Sum {
+        double area = 0, light = 0, square = 0, theta = 0;
+        std::vector<std::pair<double, double>> water;
+    };
+    std::vector<Sum> ground(zones_.size());
+    for (std::size_t i = 0; i < sites_.size(); ++i) {
+        Sum& sum = ground[of_site_[i]];
+        const double a = double(sites_.area[i]), s = double(light[i]);
+        sum.area += a;
+        sum.light += a * s;
+        sum.square += a * s * s;
+        const double theta = water[i] / double(depth[i]);
+        sum.theta += a * theta;
+        sum.water.emplace_back(theta, a);
+    }
+    const auto kinds = static_cast<std::size_t>(species_);
+    std::vector<double> living(zones_.size() * kinds), growth(living.size());
+    for (std::size_t i = 0; i < plants.size(); ++i) {
+        const std::size_t k = of_site_[plants.site[i]] * kinds + plants.species[i];
+        living[k] += 1;
+        growth[k] += double(plants.growth[i]);
+    }
+    for (std::size_t z = 0; z < zones_.size(); ++z) {
+        Sum& sum = ground[z];
+        const double median = median_by_area(sum.water);
+        for (std::size_t s = 0; s < kinds; ++s) {
+            const double mean = sum.light / sum.area;
+            for (const double value :
+                 {double(day), double(zones_[z]), double(s), living[z * kinds + s],
+                  growth[z * kinds + s], mean,
+                  std::sqrt(std::max(0.0, sum.square / sum.area - mean * mean)),
+                  sum.theta / sum.area, median})
+                rows_.push_back(value);
+        }
+    }
+}
+
+Points ZoneStatistics::points(const std::string& stage) const
+{
+    Points points;
+    const std::size_t width = kZoneColumns.size(), n = rows_.size() / width;
+    points.position.assign(n, Vec3d());
+    for (std::size_t c = 0; c < width; ++c) {
+        std::vector<double> column(n);
+        for (std::size_t r = 0; r < n; ++r) column[r] = rows_[r * width + c];
+        points.attributes[kZoneColumns[c]] = std::move(column);
+    }
+    points.stage = stage;
+    return points;
+}
+
+void ZoneStatistics::restore(const std::vector<double>& saved)
+{
+    if (saved.size() % (kZoneColumns.size() * std::max<std::size_t>(1, zones_.size())) != 0)
+        throw InvalidInput("checkpoint: the zones are of another mesh");
+    rows_ = saved;
 }
 
 }  // namespace sekitei::apps

@@ -118,6 +118,32 @@ void put_cells(Scene& scene, const MeshSites& sites, const std::vector<SiteField
 /// Names of what put_sites() and put_cells() leave besides the fields.
 std::vector<std::string> site_items();
 
+/// What grows and shines in each zone of a mesh, day by day: the points `zones`, a row for each
+/// day, zone and species, with `day`, `zone`, `species`, `living`, `growth` (sum of G_moss),
+/// `light` (mean S by area), `light_sd` (its deviation), `theta`, `theta_median` (of half the
+/// area).
+///
+/// Zones are the values of the face attribute `zone` (int32); a mesh without it has none.
+class ZoneStatistics {
+public:
+    ZoneStatistics(const TriMesh& mesh, const MeshSites& sites, int species);
+    void add(int day, const moss::Plants& plants, std::span<const float> light,
+             const std::vector<double>& water, const std::vector<float>& depth);
+    bool empty() const { return zones_.empty(); }
+    Points points(const std::string& stage) const;
+
+    std::vector<double> save() const { return rows_; }
+    /// @throws InvalidInput  of other zones
+    void restore(const std::vector<double>& saved);
+
+private:
+    const MeshSites& sites_;
+    int species_;
+    std::vector<std::int32_t> zones_;     ///< that there are, ascending
+    std::vector<std::uint32_t> of_site_;  ///< index into zones_
+    std::vector<double> rows_;
+};
+
 /// What sky and rain each site sees.
 struct Exposure {
     std::vector<float> sky_view, rain_exposure;

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
+#include <map>
 
 #include "apps/commands/commands.h"
 #include "apps/habitat.h"
@@ -37,7 +39,12 @@ struct Factor {
 std::vector<moss::Species> species_of(const Scene& scene)
 {
     std::vector<moss::Species> list;
-    if (!scene.has("moss_species")) return list;
+    if (!scene.has("moss_species")) {  // on a mesh only their names are known
+        for (const std::string& name : species_names(scene))
+            for (const moss::Species& preset : moss::preset_species())
+                if (preset.name == name) list.push_back(preset);
+        return list;
+    }
     const Json& extra = scene.grids.at("moss_species").extra;
     const Json kinds = extra.contains("species")
                            ? Json::parse(extra["species"].get<std::string>(), nullptr, false)
@@ -54,12 +61,31 @@ std::vector<moss::Species> species_of(const Scene& scene)
 
 }  // namespace
 
-int command_explain(const std::string& file, const std::string& at, const Common& common)
+namespace {
+
+/// Where a climate is explained: a cell of a volume, or a site of a mesh.
+struct Place {
+    Vec3d at;
+    Vec3f normal;
+    double area = 0;
+    std::string what;
+    std::int64_t number = 0;  ///< of the site
+    std::function<bool(const std::string&)> known;
+    std::function<double(const std::string&)> value;
+};
+
+template <class Distance>
+std::size_t nearest_of(std::size_t count, Distance&& distance)
 {
-    const Vec3d asked = point_of(at);
-    ReadOptions options;
-    options.memory_limit = common.memory_limit;
-    const Scene scene = read_vdb(file, options);
+    std::size_t best = 0;
+    double least = std::numeric_limits<double>::infinity();
+    for (std::size_t i = 0; i < count; ++i)
+        if (const double d = distance(i); d < least) least = d, best = i;
+    return best;
+}
+
+Place cell_at(const Scene& scene, const std::string& file, Vec3d asked)
+{
     for (const char* need : {"surface_sdf", "surf_normal", "surf_area"})
         if (!scene.has(need))
             throw InvalidInput(
@@ -67,27 +93,124 @@ int command_explain(const std::string& file, const std::string& at, const Common
                             file, need, maker_hint("surf_area")));
     const SurfaceCells cells = surface_cells(
         scene.floats("surface_sdf"), scene.vectors("surf_normal"), scene.floats("surf_area"), {});
-    std::size_t cell = 0;
-    double nearest = std::numeric_limits<double>::infinity();
-    for (std::size_t i = 0; i < cells.size(); ++i) {
-        const double distance = length(cells.position[i] - asked);
-        if (distance < nearest) nearest = distance, cell = i;
-    }
+    const std::size_t cell =
+        nearest_of(cells.size(), [&](std::size_t i) { return length(cells.position[i] - asked); });
     const Coord voxel = cells.voxel[cell];
-    auto value = [&](const std::string& name) { return double(scene.floats(name).value(voxel)); };
-    auto known = [&](const std::string& name) { return scene.has(name); };
+    return {cells.position[cell],
+            cells.normal[cell],
+            double(cells.area[cell]),
+            "cell",
+            std::int64_t(cell),
+            [&scene](const std::string& name) { return scene.has(name); },
+            [&scene, voxel](const std::string& name) {
+                const auto& values = scene.grids.at(name).values;
+                if (const auto* whole = std::get_if<IntGrid>(&values))
+                    return double(whole->value(voxel));
+                return double(scene.floats(name).value(voxel));
+            }};
+}
+
+Place site_at(const Scene& scene, const std::string& file, Vec3d asked, std::int64_t face)
+{
+    const auto found = scene.points.find("sites");
+    if (found == scene.points.end())
+        throw InvalidInput(fmt::format(
+            "{}: --face: the scene is not about a mesh; run `sekitei light` or `sekitei moss` on "
+            "one, or give --at",
+            file));
+    const Points& sites = found->second;
+    const auto count = static_cast<std::int64_t>(sites.position.size());
+    if (face >= count)
+        throw InvalidParameter(
+            fmt::format("--face {}: the mesh has {} faces, 0 to {}", face, count, count - 1));
+    const std::size_t site = face >= 0 ? static_cast<std::size_t>(face)
+                                       : nearest_of(sites.position.size(), [&](std::size_t i) {
+                                             return length(sites.position[i] - asked);
+                                         });
+    const auto* normal = sites.values<Vec3f>("N");
+    const auto* area = sites.values<float>("area");
+    if (!normal || !area)
+        throw InvalidInput(fmt::format("{}: the points 'sites' have no N and area", file));
+    return {sites.position[site],
+            (*normal)[site],
+            double((*area)[site]),
+            fmt::format("face {}", site),
+            std::int64_t(site),
+            [&sites](const std::string& name) {
+                return sites.values<float>(name) || sites.values<std::int32_t>(name);
+            },
+            [&sites, site](const std::string& name) {
+                if (const auto* list = sites.values<float>(name)) return double((*list)[site]);
+                return double((*sites.values<std::int32_t>(name))[site]);
+            }};
+}
+
+/// The mosses that stand on a site.
+std::string mosses_on(const Scene& scene, std::int64_t number, Json& json)
+{
+    const auto found = scene.points.find("moss");
+    if (found == scene.points.end()) return "";
+    const Points& moss = found->second;
+    const auto* host = moss.values<std::int64_t>("host");
+    const auto* id = moss.values<std::int64_t>("id");
+    const auto* kind = moss.values<std::int32_t>("species");
+    const auto* growth = moss.values<float>("growth");
+    const auto* age = moss.values<std::int32_t>("age");
+    if (!host || !id || !kind || !growth || !age) return "";
+    const std::vector<std::string> names = species_names(scene);
+    // A moss stands on land (-1 - site) or on another moss (its id), which may be dead by now.
+    std::map<std::int64_t, std::int64_t> host_of;
+    for (std::size_t i = 0; i < id->size(); ++i) host_of[(*id)[i]] = (*host)[i];
+    auto land_below = [&](std::int64_t below) {
+        for (int level = 0; below > 0 && level < 8; ++level) {
+            const auto next = host_of.find(below);
+            below = next == host_of.end() ? 0 : next->second;
+        }
+        return -1 - below;
+    };
+    std::string text;
+    json["mosses"] = Json::array();
+    for (std::size_t i = 0; i < host->size(); ++i) {
+        if (land_below((*host)[i]) != number) continue;
+        const std::size_t k = static_cast<std::size_t>((*kind)[i]);
+        const std::string name = k < names.size() ? names[k] : std::to_string(k);
+        json["mosses"].push_back({{"name", name}, {"growth", (*growth)[i]}, {"age", (*age)[i]}});
+        text +=
+            fmt::format("on it: {}, growth {:.3g}, {} days old\n", name, (*growth)[i], (*age)[i]);
+    }
+    return text.empty() ? "on it: no moss\n" : text;
+}
+
+}  // namespace
+
+int command_explain(const std::string& file, const std::string& at, std::int64_t face,
+                    const Common& common)
+{
+    if (at.empty() == (face < 0))
+        throw InvalidParameter("explain: which place? give --at x,y,z or --face NUMBER");
+    const Vec3d asked = face < 0 ? point_of(at) : Vec3d();
+    ReadOptions options;
+    options.memory_limit = common.memory_limit;
+    const Scene scene = read_vdb(file, options);
+    const bool mesh = face >= 0 || scene.points.contains("sites");
+    const Place place = mesh ? site_at(scene, file, asked, face) : cell_at(scene, file, asked);
+    auto value = [&](const std::string& name) { return place.value(name); };
+    auto known = [&](const std::string& name) { return place.known(name); };
 
     Json json;
-    const Vec3d p = cells.position[cell];
-    const Vec3f n = cells.normal[cell];
-    json["asked_m"] = {asked.x, asked.y, asked.z};
-    json["cell_m"] = {p.x, p.y, p.z};
+    const Vec3d p = place.at;
+    const Vec3f n = place.normal;
+    const double nearest = face < 0 ? length(p - asked) : 0;
+    if (face < 0) json["asked_m"] = {asked.x, asked.y, asked.z};
+    json[mesh ? "site_m" : "cell_m"] = {p.x, p.y, p.z};
     json["away_m"] = nearest;
     json["normal"] = {n.x, n.y, n.z};
     std::string text = fmt::format(
-        "cell at {:.4g}, {:.4g}, {:.4g} m, {:.3g} m from the point asked for; normal "
-        "{:.2f}, {:.2f}, {:.2f}; area {:.3g} cm2\n",
-        p.x, p.y, p.z, nearest, n.x, n.y, n.z, double(cells.area[cell]) * 1e4);
+        "{} at {:.4g}, {:.4g}, {:.4g} m{}; normal {:.2f}, {:.2f}, {:.2f}; area {:.3g} "
+        "cm2\n",
+        place.what, p.x, p.y, p.z,
+        face < 0 ? fmt::format(", {:.3g} m from the point asked for", nearest) : "", n.x, n.y, n.z,
+        place.area * 1e4);
     auto row = [&](const char* name, const char* label, const char* unit) {
         if (!known(name)) return;
         json[name] = value(name);
@@ -98,6 +221,7 @@ int command_explain(const std::string& file, const std::string& at, const Common
     row("light_direct", "  of it direct", "W/m2");
     row("light_sky", "  of it from the sky", "W/m2");
     row("light_reflected", "  of it reflected", "W/m2");
+    row("light_indirect", "  of it indirect", "W/m2");
     row("sky_view", "sky view", "");
     row("rain_exposure", "rain exposure", "");
     if (known("wind_ratio_0") && scene.points.contains("air_tables") &&
@@ -129,6 +253,7 @@ int command_explain(const std::string& file, const std::string& at, const Common
     row("soil_runoff", "runoff", "mm/day");
     row("soil_water", "water on the last day", "mm");
     row("soil_h", "depth of soil", "mm");
+    row("moss_cover", "moss around it", "");
 
     if (known("soil_Ts") && known("soil_rh") && known("light_S")) {
         std::vector<moss::Species> species;
@@ -137,7 +262,8 @@ int command_explain(const std::string& file, const std::string& at, const Common
             for (const Param& param : describe_params(rules))
                 if (made->contains(param.name) && !(*made)[param.name].is_null())
                     param.set((*made)[param.name]);
-            const Json* soil = params_of(scene, "soil");
+            // On a mesh the moss stage itself says how the ground is.
+            const Json* soil = mesh ? made : params_of(scene, "soil");
             if ((*made)["light_gate"].is_null() && soil && soil->value("profile", "") == "paper")
                 rules.light_gate = false;
             species = species_of(scene);
@@ -172,15 +298,17 @@ int command_explain(const std::string& file, const std::string& at, const Common
             json["species"].push_back(std::move(entry));
         }
     }
-    if (known("moss_growth")) {
+    if (mesh) {
+        text += mosses_on(scene, place.number, json);
+    } else if (known("moss_growth")) {
         const std::vector<std::string> names = species_names(scene);
-        const int who = scene.ints("moss_species").value(voxel);
+        const int who = int(value("moss_species"));
         const std::string name = who > 0 && std::size_t(who) <= names.size()
                                      ? names[std::size_t(who) - 1]
                                      : std::string("none");
         json["moss"] = name;
         text += who > 0 ? fmt::format("on it: {}, growth {:.3g}, {} days old\n", name,
-                                      value("moss_growth"), scene.ints("moss_age").value(voxel))
+                                      value("moss_growth"), int(value("moss_age")))
                         : "on it: no moss\n";
     }
     print(common.json ? json.dump(2) + "\n" : text);

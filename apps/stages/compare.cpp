@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
 
 #include "apps/habitat.h"
 #include "apps/stages/stages.h"
@@ -84,6 +85,132 @@ struct Line {
     }
 };
 
+/// What grows in the zones of roof2x2 [Nomura2010, section 4.1], from the points `zones`.
+class Roof {
+public:
+    enum Zone { kOther, kFront, kBack, kWall, kUnderside, kTop };
+
+    Roof(const std::string& name, const Scene& scene) : points_(scene.points_of("zones"))
+    {
+        auto column = [&](const char* which) {
+            return &statistics_column(points_, which, "compare: " + name);
+        };
+        day_ = column("day"), zone_ = column("zone"), living_ = column("living");
+        growth_ = column("growth"), light_ = column("light"), deviation_ = column("light_sd");
+        theta_ = column("theta_median");
+        for (const double day : *day_) last_ = std::max(last_, day);
+    }
+    /// The last day that both have, or the one asked for.
+    double last() const { return last_; }
+    double living(double day, std::initializer_list<Zone> zones) const
+    {
+        return sum(*living_, day, zones);
+    }
+    double growth(double day, std::initializer_list<Zone> zones) const
+    {
+        return sum(*growth_, day, zones);
+    }
+    /// The largest number on any later day.
+    double most_after(double day, std::initializer_list<Zone> zones) const
+    {
+        double most = 0;
+        for (double d = day + 1; d <= last_; ++d) most = std::max(most, living(d, zones));
+        return most;
+    }
+    double theta(Zone zone) const { return at(*theta_, last_, zone); }
+    /// Deviation of S over the zone, as a share of its mean: mean over the days.
+    double noise(Zone zone) const
+    {
+        double total = 0;
+        for (double d = 1; d <= last_; ++d)
+            total += at(*deviation_, d, zone) / at(*light_, d, zone);
+        return total / last_;
+    }
+    static constexpr std::initializer_list<Zone> kShelter{kBack, kWall, kUnderside};
+
+private:
+    double sum(const std::vector<double>& values, double day,
+               std::initializer_list<Zone> zones) const
+    {
+        double total = 0;
+        for (std::size_t r = 0; r < values.size(); ++r)
+            for (const Zone zone : zones)
+                if ((*day_)[r] == day && int((*zone_)[r]) == int(zone)) total += values[r];
+        return total;
+    }
+    double at(const std::vector<double>& values, double day, Zone zone) const
+    {
+        for (std::size_t r = 0; r < values.size(); ++r)
+            if ((*day_)[r] == day && int((*zone_)[r]) == int(zone)) return values[r];
+        return 0;
+    }
+
+    const Points& points_;
+    const std::vector<double>*day_, *zone_, *living_, *growth_, *light_, *deviation_, *theta_;
+    double last_ = 0;
+};
+
+/// What the experiments under a roof let expect; scenes are known by their names, R1 to R7.
+std::vector<Line> roof_lines(const std::vector<std::pair<std::string, Scene>>& scenes)
+{
+    std::map<std::string, Roof> runs;
+    for (const auto& [name, scene] : scenes)
+        if (scene.points.contains("zones")) runs.try_emplace(name, name, scene);
+    std::vector<Line> lines;
+    constexpr double kAny = std::numeric_limits<double>::infinity();
+    auto run = [&](const std::string& name) -> const Roof* {
+        const auto found = runs.find(name);
+        return found == runs.end() ? nullptr : &found->second;
+    };
+    auto line = [&](const std::string& measure, const std::string& scene, double value,
+                    double lower, double upper) {
+        lines.push_back({measure, scene, value, 0, false, lower, upper});
+    };
+    auto ratio = [&](const std::string& measure, const std::string& scene, double value,
+                     double first, double lower, double upper) {
+        lines.push_back({measure, scene, value, first, true, lower, upper});
+    };
+    const auto shelter = Roof::kShelter;
+    const Roof *r1 = run("R1"), *r2 = run("R2"), *r7 = run("R7");
+    if (r1) {
+        line("living in the shelter, last day", "R1", r1->living(r1->last(), shelter), 100, kAny);
+        line("living in the open after day 100", "R1",
+             r1->most_after(100, {Roof::kFront, Roof::kTop}), 0, 0);
+    }
+    if (r1 && r2)
+        ratio("living in the shelter, with / without indirect light", "R1/R2",
+              r1->living(r1->last(), shelter), r2->living(r2->last(), shelter), 10, kAny);
+    if (const Roof* with = run("R3"), *without = run("R3_direct"); with && without)
+        ratio("growth in the shelter without gate, with / without indirect light", "R3",
+              with->growth(60, shelter), without->growth(60, shelter), 1.05, kAny);
+    for (const std::string kind : {"bryum", "hypnum", "polytrichum"})
+        if (const Roof* cool = run("R4_" + kind), *warm = run("R4_" + kind + "_warm");
+            cool && warm) {
+            ratio("underside, day 100, 288.15 K / 293.15 K", "R4 " + kind,
+                  cool->living(100, {Roof::kUnderside}), warm->living(100, {Roof::kUnderside}), 1.1,
+                  kAny);
+            ratio("open ground, day 20, 288.15 K / 293.15 K", "R4 " + kind,
+                  cool->living(20, {Roof::kFront, Roof::kTop}),
+                  warm->living(20, {Roof::kFront, Roof::kTop}), -kAny, kAny);
+        }
+    if (const Roof* r5 = run("R5"); r1 && r5)
+        ratio("living in the shelter, day 100, with sky / without", "R5/R1",
+              r5->living(100, shelter), r1->living(100, shelter), 1, kAny);
+    if (const Roof* dry = run("R6"), *wet = run("R6_wet"); dry && wet) {
+        line("water of half the back floor, sheltered", "R6", dry->theta(Roof::kBack), 0, 1e-3);
+        line("water of half the front floor", "R6", dry->theta(Roof::kFront), 0.4, 0.49);
+        ratio("living on the back floor, day 100, sheltered / rained on", "R6/R6_wet",
+              dry->living(100, {Roof::kBack}), wet->living(100, {Roof::kBack}), 0, 0.5);
+    }
+    if (r1 && r7) {
+        ratio("living in the shelter, 8192 / 262144 photons", "R7/R1",
+              r7->living(r7->last(), shelter), r1->living(r1->last(), shelter), 1.0 / 3, 3);
+        line("noise of S on the front floor, 8192 photons", "R7", r7->noise(Roof::kFront), 0.20,
+             0.27);
+    }
+    return lines;
+}
+
 /// Text as a cell of comma-separated values.
 std::string cell(const std::string& text)
 {
@@ -109,7 +236,7 @@ public:
                                      {"lantern", "moss"}};
         return kInfo;
     }
-    std::vector<std::string> uses() override { return {"air_tables"}; }
+    std::vector<std::string> uses() override { return {"air_tables", "zones"}; }
     ParamList params() override { return {}; }
     void validate() override {}
     Need estimate(SceneOutline&, const StageContext&) override { return {0, 1e8, 1e5}; }
@@ -123,10 +250,12 @@ public:
                   const StageContext&) override
     {
         if (scenes.size() < 2) throw InvalidParameter("compare: needs two scenes or more");
-        std::vector<Habitat> all;
-        for (const auto& [name, scene] : scenes) all.push_back(habitat_of(name, scene));
-        std::vector<Line> lines;
-        for (std::size_t k = 1; k < all.size(); ++k) add(lines, all[0], all[k]);
+        std::vector<Line> lines = roof_lines(scenes);
+        if (lines.empty()) {
+            std::vector<Habitat> all;
+            for (const auto& [name, scene] : scenes) all.push_back(habitat_of(name, scene));
+            for (std::size_t k = 1; k < all.size(); ++k) add(lines, all[0], all[k]);
+        }
         table = "measure,scene,value,first,ratio,expected,holds\n";
         int bounded = 0, held = 0;
         for (const Line& line : lines) {

@@ -105,7 +105,7 @@ public:
         if (on_mesh()) {
             names = mesh_moss_fields();
             for (const std::string& item : site_items()) names.push_back(item);
-            for (const char* item : {"moss", "seeds", "statistics", "weather"})
+            for (const char* item : {"moss", "seeds", "statistics", "weather", "zones"})
                 names.emplace_back(item);
         }
         for (const std::string& name : split_names(params_.species))

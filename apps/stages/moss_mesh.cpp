@@ -55,7 +55,8 @@ public:
           was_(scene.meshes.at("rock")),
           sites_(mesh_sites(was_, params.land.site, context.progress.slice(0, 0.02))),
           surface_(sites_, context.progress.slice(0.02, 0.03)),
-          statistics_(int(run.species.size()), true)
+          statistics_(int(run.species.size()), true),
+          zones_(was_, sites_, int(run.species.size()))
     {
         const Progress setup = context.progress.slice(0.03, 0.1);
         const bool full = p_.climate.profile == Profile::Full;
@@ -290,6 +291,7 @@ private:
                                rests_on / double(sites_.size())};
         statistics_.add(now_.colony.day, ground_, ground_day_, now_.light, now_.water,
                         {&mosses, {}, fitness_today_, low}, more);
+        zones_.add(now_.colony.day, plants, now_.light, now_.water, ground_.depth());
         lost_ += l.lost;
         emitted_ += l.emitted;
     }
@@ -376,6 +378,7 @@ private:
         scene_.points["seeds"] = moss::seeds_to_points(now_.colony);
         scene_.points["statistics"] = statistics_.points("moss");
         scene_.points["weather"] = weather_points(weather_);
+        if (!zones_.empty()) scene_.points["zones"] = zones_.points("moss");
         for (const char* name : {"moss", "seeds", "weather"}) scene_.points[name].stage = "moss";
         label(scene_, mesh_moss_fields(), std::size_t(now_.colony.day), p_.climate.profile,
               context_.seed);
@@ -415,6 +418,7 @@ private:
         c.fields["water"] = now_.water;
         c.fields["means"] = now_.means->save();
         c.fields["statistics"] = statistics_.save();
+        c.fields["zones"] = zones_.save();
         for (const auto& [name, list] : lists()) c.fields[name].assign(list->begin(), list->end());
         return c;
     }
@@ -433,6 +437,7 @@ private:
         now_.water = field("water");
         now_.means->restore(field("means"));
         statistics_.restore(field("statistics"));
+        zones_.restore(field("zones"));
         for (const auto& [name, list] : lists()) {
             const std::vector<double>& kept = field(name);
             if (kept.size() != list->size())
@@ -488,6 +493,7 @@ private:
     std::unique_ptr<light::PhotonScene> rays_;
     std::unique_ptr<light::SiteKernel> kernel_;
     Statistics statistics_;
+    ZoneStatistics zones_;
     State now_;
     GroundDay ground_day_;
     std::vector<double> water_before_;

@@ -166,6 +166,9 @@ private:
             if (const std::vector<std::string> names = species_names(scene); !names.empty())
                 stuff.species = names;
             if (climate) stuff.moss_size = 1.6 * scene.floats("surf_area").transform().voxel;
+            if (const Json* made = params_of(scene, "moss");
+                made && scene.points.contains("sites") && made->contains("size"))
+                stuff.moss_size = 1.6 * (*made)["size"].get<double>();
             if (scenery_.tuft_size) stuff.moss_size = *scenery_.tuft_size;
         }
         picture = stuff.pieces.size() == 1 && stuff.moss.empty()

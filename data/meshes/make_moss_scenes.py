@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Writes the scenes of moss on meshes beside this file: roof2x2.ply, shade_000.ply .. shade_100.ply, boulder.ply.
 
-Metres, z up. The face attribute `geology` says what a face is made of: 1 humus, 2 sand, 3 rock. Needs nothing but Python and
+Metres, z up. The face attribute `geology` says what a face is made of: 1 humus, 2 sand, 3 rock; `zone` where it is: in
+roof2x2 1 front floor, 2 back floor, 3 wall, 4 the roof's underside, 5 its top, in shade 1 the floor, elsewhere 0. Needs nothing but Python and
 gives the same bytes every time. Made for Sekitei; the same licence as the program (Apache-2.0).
 """
 import math
@@ -54,14 +55,30 @@ class Mesh:
             k = base + 2 * i
             self.faces.append(((k, k + 1, k + 3, k + 2), geology))
 
-    def save(self, name, what):
+    def zone(self, face, zones):
+        """The number of the first zone in which a face lies: (axis, sign of the normal, lower corner, upper corner)."""
+        corners = [self.vertices[k] for k in face]
+        a, b, c = corners[0], corners[1], corners[-1]
+        u, v = [b[k] - a[k] for k in range(3)], [c[k] - a[k] for k in range(3)]
+        normal = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
+        middle = [sum(p[k] for p in corners) / len(corners) for k in range(3)]
+        for number, (axis, sign, lower, upper) in enumerate(zones, 1):
+            inside = all(lower[k] - 1e-6 <= middle[k] <= upper[k] + 1e-6 for k in range(3))
+            if inside and normal[axis] * sign > 0.99 * math.sqrt(sum(x * x for x in normal)):
+                return number
+        return 0
+
+    def save(self, name, what, zones=()):
         head = ("ply\nformat binary_little_endian 1.0\ncomment %s\ncomment metres, z up; made by make_moss_scenes.py "
                 "(Apache-2.0)\nelement vertex %d\nproperty float x\nproperty float y\nproperty float z\nelement face %d\n"
-                "property list uchar ushort vertex_indices\nproperty uchar geology\nend_header\n"
-                % (what, len(self.vertices), len(self.faces)))
+                "property list uchar ushort vertex_indices\nproperty uchar geology\n%send_header\n"
+                % (what, len(self.vertices), len(self.faces), "property uchar zone\n" if zones else ""))
         out = [head.encode("ascii")]
         out += [struct.pack("<3f", *v) for v in self.vertices]
-        out += [struct.pack("<B%dHB" % len(f), len(f), *f, g) for f, g in self.faces]
+        for f, g in self.faces:
+            out.append(struct.pack("<B%dHB" % len(f), len(f), *f, g))
+            if zones:
+                out.append(bytes([self.zone(f, zones)]))
         write(name, b"".join(out))
 
 
@@ -77,7 +94,9 @@ def roof():
     mesh.box((0, -2, -0.3), (2, 0, 0), HUMUS)
     mesh.box((0, 0, 0), (2, 0.1, 1.5), SAND)
     mesh.box((0, -1, 1.4), (2, 0, 1.5), SAND)
-    mesh.save("roof2x2.ply", "roof over the far half of a floor, moss by reflected light")
+    mesh.save("roof2x2.ply", "roof over the far half of a floor, moss by reflected light",
+              [(2, 1, (0, -2, 0), (2, -1, 0)), (2, 1, (0, -1, 0), (2, 0, 0)), (1, -1, (0, 0, 0), (2, 0, 1.4)),
+               (2, -1, (0, -1, 1.4), (2, 0, 1.4)), (2, 1, (0, -1, 1.5), (2, 0, 1.5))])
 
 
 # Through one gap the sun's disc lights a disc of radius height tan(0.2665 deg) on the floor. At 1.1166 pitches the first
@@ -103,7 +122,8 @@ def shade(per_cent):
         for i in range(round((2 + 2 * BEYOND) / PITCH)):
             left = -BEYOND + i * PITCH
             mesh.sheet(left, left + width, -2 - BEYOND, BEYOND, HEIGHT, 9, ROCK)
-    mesh.save("shade_%03d.ply" % per_cent, "a floor under slats that let %d %% of a vertical beam through" % per_cent)
+    mesh.save("shade_%03d.ply" % per_cent, "a floor under slats that let %d %% of a vertical beam through" % per_cent,
+              [(2, 1, (0, -2, 0), (2, 0, 0))])
 
 
 def icosphere(levels):
