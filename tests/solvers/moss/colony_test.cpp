@@ -193,6 +193,32 @@ TEST(Colony, SporesAreAsManyADayAsAskedAndFlyApart)
     for (const std::uint8_t k : colony.seeds.kind) EXPECT_EQ(k, kSpore);
 }
 
+TEST(Colony, SporesDriftWithTheWindOfTheirSite)
+{
+    const Land land(floor_mesh(20, 20), 4);
+    const Community community{
+        std::span(kThree).first(1), kPaper, {.spore_wind = true, .external_interval = 0}, 5};
+    Colony colony;
+    std::vector<float> wind(land.sites.size(), 0.0F);
+    for (int i = 0; i < 40; ++i)
+        plant(colony, {1 + 0.1 * i, 10, 0.7}, 4.1, {0, 0, 1}, 0,
+              land.surface.closest({1 + 0.1 * i, 10, 0.7}, 0.01)->site);
+    for (const std::uint32_t site : colony.plants.site) wind[site] = 0.4F;
+    const Everywhere at(colony, 0.8F);
+    const SpeciesDay s =
+        day(colony, community, kParams, land.surface, {at.plants, at.seeds, wind, {0, 1, 0}}, {})
+            .species[0];
+    EXPECT_EQ(s.settled, 40);
+    // From a height of 0.21 to 0.30 m, at 0.02 m/s against 0.4 m/s.
+    double mean = 0;
+    for (const Vec3f& p : colony.seeds.foot) {
+        EXPECT_GT(p.y, 10 + 20 * 0.212 - 0.22);
+        EXPECT_LT(p.y, 10 + 20 * 0.3 + 0.22);
+        mean += double(p.y) / 40;
+    }
+    EXPECT_NEAR(mean, 10 + 20 * 0.3 * 0.853553, 0.3);
+}
+
 // Room --------------------------------------------------------------------------------------------
 
 TEST(Colony, OfAHexagonalPatchAllButTheRimIsInterior)
