@@ -180,6 +180,31 @@ TEST(Colony, LightThatASeedKnowsIsItsPlants)
     EXPECT_EQ(colony.seeds.size(), 0u);
 }
 
+TEST(Colony, FitnessIsThatOfTheOwnLightAndTheSitesAir)
+{
+    const Community community{kThree, {}, {}, 5};
+    Colony colony;
+    std::vector<float> temperature, humidity;
+    for (std::uint32_t i = 0; i < 60; ++i) {
+        plant(colony, {0, 0, 0}, 1, {0, 0, 1}, static_cast<std::uint8_t>(i % 3), (i * 7) % 60);
+        colony.plants.light[i] = static_cast<float>(2 * i);
+        temperature.push_back(275 + 0.3F * static_cast<float>(i));
+        humidity.push_back(0.7F + 0.005F * static_cast<float>(i));
+    }
+    const auto g = fitness(colony.plants, community, temperature, humidity, {});
+    for (std::uint32_t i = 0; i < 60; ++i) {
+        const std::size_t site = (i * 7) % 60;
+        EXPECT_NEAR(g[i],
+                    fitness(kThree[i % 3], community.rules, double(temperature[site]),
+                            double(humidity[site]), 2.0 * i)
+                        .total(),
+                    1e-6);
+    }
+    humidity.resize(50);
+    EXPECT_THAT([&] { fitness(colony.plants, community, temperature, humidity, {}); },
+                ThrowsMessage<InvalidInput>(HasSubstr("humidity of 50")));
+}
+
 TEST(Colony, SporesAreAsManyADayAsAskedAndFlyApart)
 {
     const Land land(floor_mesh(2, 2), 0.5);
