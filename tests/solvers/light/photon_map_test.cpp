@@ -91,6 +91,48 @@ TEST(PhotonMap, AreaOfTheKernelIsThatOfAConeCutByTheSurface)
                   kernel.kernel_area(cube.sites.position[i], cube.sites.normal[i], 0.1f));
 }
 
+TEST(PhotonMap, WeighsPhotonsByDistanceWithinTheSlab)
+{
+    const Land floor(shapes::box({0, 0, -0.2}, {1, 1, 0}), 0.05);
+    const PhotonParams params{.photon_radius = 0.2};
+    const SiteKernel kernel = floor.kernel(params, 0.01);  // half a slab: 0.2 / 4 + 2 * 0.01 = 0.07
+    const std::vector<Vec3f> at{{0.5f, 0.5f, 0}}, up{{0, 0, 1}};
+    const std::vector<float> area = kernel.kernel_area(at, up);
+    const std::vector<Vec3f> foot{{0.5f, 0.45f, 0}};
+    // What one photon adds, in shares of flux / area.
+    auto found = [&](const Photon& photon) {
+        const PhotonMap map({&photon, 1}, {foot, up, {}}, kernel, params);
+        const Irradiance light = map.at({at, up, area, {}}, {}, {});
+        return std::array<float, 3>{light.beam[0] * area[0] / photon.flux,
+                                    light.sky[0] * area[0] / photon.flux,
+                                    light.indirect[0] * area[0] / photon.flux};
+    };
+    auto photon_at = [](double x, double z, Vec3d n) {
+        return Photon{.position = Vec3f(Vec3d(0.5 + x, 0.5, z)), .normal = Vec3f(n), .flux = 3};
+    };
+    const Vec3d n(0, 0, 1), steep(std::sin(1.0), 0, std::cos(1.0)), wall(1, 0, 0);
+    EXPECT_NEAR(found(photon_at(0, 0, n))[0], 1, 1e-6);
+    EXPECT_NEAR(found(photon_at(0.05, 0, n))[0], 0.75, 1e-6);
+    EXPECT_NEAR(found(photon_at(-0.19, 0, n))[0], 0.05, 1e-6);
+    EXPECT_EQ(found(photon_at(0.21, 0, n))[0], 0);
+    EXPECT_NEAR(found(photon_at(0, 0.06, n))[0], 0.7, 1e-6);
+    EXPECT_NEAR(found(photon_at(0, -0.06, n))[0], 0.7, 1e-6);
+    EXPECT_EQ(found(photon_at(0, 0.08, n))[0], 0);
+    EXPECT_NEAR(found(photon_at(0.05, 0, steep))[0], 0.75, 1e-6);  // 57 degrees
+    EXPECT_EQ(found(photon_at(0.05, 0, wall))[0], 0);
+    EXPECT_EQ(found(photon_at(0, 0, -n))[0], 0);
+    // From the sky, and reflected.
+    Photon photon = photon_at(0, 0, n);
+    photon.source = Source::Sky;
+    EXPECT_THAT(found(photon), testing::ElementsAre(0, testing::FloatNear(1, 1e-6f), 0));
+    photon.bounce = 1;
+    EXPECT_THAT(found(photon), testing::ElementsAre(0, 0, testing::FloatNear(1, 1e-6f)));
+    // On moss, wherever its ball was met, at its foot.
+    photon = photon_at(0.4, 0.3, wall);
+    photon.on_moss = 1;
+    EXPECT_NEAR(found(photon)[0], 0.75, 1e-6);
+}
+
 TEST(PhotonMap, IsRightOnFacesEdgesAndCorners)
 {
     const Land cube(shapes::box({0, 0, 0}, {1, 0.8, 0.6}), 0.02);
