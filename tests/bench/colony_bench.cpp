@@ -130,9 +130,10 @@ void measure(const Case& c, const MeshSites& sites)
         std::string hash;
         std::int64_t thrown = 0;
     } rows[2];
-    for (int round = 0; round < kRounds; ++round)
-        for (const std::size_t threads : {1u, 2u}) {
-            const ThreadLimit limit(threads);
+    // Not in turns: a thread that was sent to sleep takes a while to come back.
+    for (const std::size_t threads : {1u, 2u}) {
+        const ThreadLimit limit(threads);
+        for (int round = 0; round < kRounds; ++round) {
             Row& row = rows[threads - 1];
             moss::Colony now = colony;
             moss::DayStatistics s;
@@ -151,6 +152,7 @@ void measure(const Case& c, const MeshSites& sites)
             row.thrown = 0;
             for (const auto& k : s.species) row.thrown += k.gemmae + k.spores;
         }
+    }
     for (std::size_t k = 0; k < 2; ++k)
         fmt::print(
             "{}, {} sites, {} plants, {} seeds, {} threads, {:.4f} s day ({} thrown), {:.4f} "
