@@ -2,11 +2,11 @@
 
 #include <fmt/format.h>
 
-#include <algorithm>
 #include <filesystem>
 #include <vector>
 
 #include "apps/commands/commands.h"
+#include "apps/stage.h"
 #include "core/error.h"
 #include "core/file_output.h"
 #include "core/log.h"
@@ -27,6 +27,11 @@ int command_tufts(const std::vector<std::string>& species, double growth, const 
             throw InvalidParameter(
                 fmt::format("{} exists; replace it with --force", (folder / file.name).string()));
     for (const render::TuftFile& file : files) write_file(folder / file.name, file.bytes);
+    if (common.json) {
+        Json names = Json::array();
+        for (const render::TuftFile& file : files) names.push_back((folder / file.name).string());
+        print(Json{{"files", names}}.dump(2) + "\n");
+    }
     log::info("wrote {} models into {}", files.size(), folder.string());
     return 0;
 }

@@ -302,7 +302,7 @@ public:
         for (int k = 0; k <= kSteps; ++k) {
             p.y = lie(p) + lift;
             s.path.push_back(p);
-            p += around(heading, 0) * 0.038;
+            p += around(heading, 0) * 0.040;
             heading += turn;
         }
         return s;

@@ -25,6 +25,12 @@ std::variant<CellIndex, KdTree> search_over(std::span<const Vec3f> points,
     return CellIndex(points, static_cast<float>(params.photon_radius));
 }
 
+const std::vector<NumberedPoint>& slots_of(const std::variant<CellIndex, KdTree>& search)
+{
+    return std::visit(
+        [](const auto& s) -> const auto& { return s.points(); }, search);
+}
+
 void check_places(std::span<const Vec3f> position, std::span<const Vec3f> normal,
                   std::span<const float> area, const char* what)
 {
@@ -67,6 +73,8 @@ SiteKernel::SiteKernel(std::span<const Vec3f> position, std::span<const Vec3f> n
         throw InvalidParameter(
             fmt::format("photons: size of moss = {:.6g} m, must be >= 0", moss_size));
     search_ = search_over(position, params);
+    for (const NumberedPoint& p : slots_of(search_))
+        patches_.push_back({normal[p.index], area[p.index]});
     own_area_ = kernel_area(position, normal);
     if (params.photon_estimator != PhotonEstimator::Site) return;
 
@@ -106,16 +114,15 @@ SiteKernel::SiteKernel(std::span<const Vec3f> position, std::span<const Vec3f> n
 template <class F>
 void SiteKernel::around(Vec3f at, Vec3f normal, float radius, F&& f) const
 {
-    const float half = slab(radius);
+    const float half = slab(radius), per_radius = 1 / radius;
     std::visit(
         [&](const auto& search) {
-            const auto& points = search.points();
+            const NumberedPoint* points = search.points().data();
             search.within_slots(at, radius, [&](std::size_t slot, float d2) {
-                const std::size_t j = points[slot].index;
-                if (dot(normal_[j], normal) < kSameSide ||
+                if (dot(patches_[slot].normal, normal) < kSameSide ||
                     std::abs(dot(points[slot].at - at, normal)) > half)
                     return;
-                f(j, 1 - std::sqrt(d2) / radius);
+                f(slot, 1 - std::sqrt(d2) * per_radius);
             });
         },
         search_);
@@ -126,16 +133,19 @@ void SiteKernel::partners(std::size_t site, F&& f) const
 {
     const Vec3f at = position_[site];
     const float half = slab(radius_);
-    around(at, normal_[site], radius_, [&](std::size_t j, float w) {
+    const NumberedPoint* points = slots_of(search_).data();
+    around(at, normal_[site], radius_, [&](std::size_t slot, float w) {
         // Seen from the other side too, or the relation would not be symmetric.
-        if (std::abs(dot(position_[j] - at, normal_[j])) <= half) f(j, static_cast<double>(w));
+        if (std::abs(dot(points[slot].at - at, patches_[slot].normal)) <= half)
+            f(points[slot].index, static_cast<double>(w));
     });
 }
 
 float SiteKernel::kernel_area(Vec3f at, Vec3f normal, float radius) const
 {
     double sum = 0;
-    around(at, normal, radius, [&](std::size_t j, float w) { sum += area_[j] * w; });
+    around(at, normal, radius,
+           [&](std::size_t slot, float w) { sum += static_cast<double>(patches_[slot].area * w); });
     return static_cast<float>(sum);
 }
 
@@ -166,9 +176,10 @@ std::vector<float> SiteKernel::spread(std::span<const double> flux) const
 double SiteKernel::mean_around(Vec3f at, Vec3f normal, std::span<const float> values) const
 {
     double sum = 0, weight = 0;
-    around(at, normal, radius_, [&](std::size_t j, float w) {
-        const double share = static_cast<double>(area_[j]) * w;
-        sum += share * values[j];
+    const NumberedPoint* points = slots_of(search_).data();
+    around(at, normal, radius_, [&](std::size_t slot, float w) {
+        const double share = static_cast<double>(patches_[slot].area) * w;
+        sum += share * values[points[slot].index];
         weight += share;
     });
     return weight > 0 ? sum / weight : 0;

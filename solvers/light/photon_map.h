@@ -55,8 +55,14 @@ public:
     double mean_around(Vec3f at, Vec3f normal, std::span<const float> values) const;
 
 private:
+    struct Patch {
+        Vec3f normal;
+        float area;
+    };
+    /// Calls f(slot, W) for the sites around a place.
     template <class F>
     void around(Vec3f at, Vec3f normal, float radius, F&& f) const;
+    /// Calls f(site, W) for the sites that a site shares light with.
     template <class F>
     void partners(std::size_t site, F&& f) const;
 
@@ -65,6 +71,7 @@ private:
     float radius_;
     double moss_size_;
     std::variant<CellIndex, KdTree> search_;
+    std::vector<Patch> patches_;  // by slot of the search
     std::vector<float> own_area_;
     std::vector<double> receive_, send_;  // c and e of spread()
 };

@@ -568,6 +568,41 @@ std::vector<Landed> land(std::span<const Flight> seeds, const Plants& plants,
     return result;
 }
 
+std::vector<float> fitness(const Individuals& individuals, const Community& community,
+                           std::span<const float> temperature, std::span<const float> humidity,
+                           const Progress& progress)
+{
+    // Species by species, each as one piece.
+    std::vector<std::vector<std::uint32_t>> of(community.species.size());
+    for (std::uint32_t i = 0; i < individuals.size(); ++i) {
+        const std::uint32_t site = individuals.site[i];
+        if (individuals.species[i] >= of.size() || site >= temperature.size() ||
+            site >= humidity.size())
+            throw InvalidInput(fmt::format(
+                "moss: individual {} of species {} on site {}; there are {} species, "
+                "temperature of {} sites and humidity of {}",
+                i, individuals.species[i], site, of.size(), temperature.size(), humidity.size()));
+        of[individuals.species[i]].push_back(i);
+    }
+    std::vector<float> result(individuals.size());
+    for (std::size_t k = 0; k < of.size(); ++k) {
+        const std::size_t n = of[k].size();
+        std::vector<float> t(n), rh(n), s(n), g(n);
+        parallel_for(
+            n,
+            [&](std::size_t j) {
+                const std::uint32_t i = of[k][j];
+                t[j] = temperature[individuals.site[i]];
+                rh[j] = humidity[individuals.site[i]];
+                s[j] = individuals.light[i];
+            },
+            4096);
+        fitness(community.species[k], community.rules, t, rh, s, g, progress);
+        for (std::size_t j = 0; j < n; ++j) result[of[k][j]] = g[j];
+    }
+    return result;
+}
+
 DayStatistics day(Colony& colony, const Community& community, const ColonyParams& params,
                   const MeshSurface& surface, const ColonyConditions& conditions,
                   const Progress& progress)

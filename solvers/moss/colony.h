@@ -110,6 +110,13 @@ struct Landed {
 std::vector<Landed> land(std::span<const Flight> seeds, const Plants& plants,
                          const ColonyParams& params, const MeshSurface& surface, double adhesion);
 
+/// G of each individual: in its own light, at the temperature and humidity of its site.
+/// @param temperature, humidity  of each site [K, 0..1]
+/// @throws InvalidInput  a site or a species that does not exist
+std::vector<float> fitness(const Individuals& individuals, const Community& community,
+                           std::span<const float> temperature, std::span<const float> humidity,
+                           const Progress& progress);
+
 /// What a colony meets on one day.
 struct ColonyConditions {
     std::span<const float> plants, seeds;  ///< G of each, of its own species in its own light

@@ -27,7 +27,7 @@ INTERRUPTED, TERMINATED = 130, 143
 ROCK = ["lava", "cool", "joint", "weather", "mesh"]
 HABITAT = ["lantern", "light", "wind", "soil", "moss"]
 STAGES = [*ROCK, *HABITAT, "render", "statistics", "plot", "compare", "export"]
-TOOLS = ["run", "check", "info", "replay", "diff", "explain", "verify", "schema", "completions"]
+TOOLS = ["run", "check", "info", "replay", "diff", "explain", "verify", "schema", "tufts", "completions"]
 # Values of parameters that a stage cannot do without, as in recipes; spring_weather() makes the file.
 REQUIRED = {"light": {"weather": "days.csv"}}
 

@@ -68,27 +68,69 @@ struct Places {
 
 TEST(PhotonMap, AreaOfTheKernelIsThatOfAConeCutByTheSurface)
 {
-    // pi r^2 / 3 on a plane, half of it at an edge, a quarter at a corner, three quarters of the
-    // whole in the corner of an L; nothing off the surface or from its other side.
+    // pi r^2 / 3 on a plane, half of it at an edge, a quarter at a corner, nothing off the surface
+    // or from its other side.
     const double r = 0.1, whole = pi * r * r / 3;
-    const Land cube(shapes::box({0, 0, 0}, {1, 0.8, 0.6}), 0.015);
+    const Land cube(shapes::box({0, 0, 0}, {0.5, 0.4, 0.3}), 0.015);
     const SiteKernel kernel = cube.kernel({.photon_radius = r});
     const Vec3f up(0, 0, 1);
     auto area = [&](double x, double y, double z, Vec3f n) {
         return kernel.kernel_area(Vec3f(Vec3d(x, y, z)), n, static_cast<float>(r));
     };
-    EXPECT_NEAR(area(0.5, 0.4, 0.6, up) / whole, 1, 0.01);
-    EXPECT_NEAR(area(0.5, 0, 0.6, up) / whole, 0.5, 0.01);
-    EXPECT_NEAR(area(0, 0, 0.6, up) / whole, 0.25, 0.01);
-    EXPECT_EQ(area(0.5, 0.4, 0.6, -up), 0);
-    EXPECT_EQ(area(0.5, 0.4, 0.63, up), 0);  // off the slab r / 4
-    EXPECT_NEAR(area(0.5, 0.4, 0.602, up) / whole, 1, 0.01);
+    EXPECT_NEAR(area(0.25, 0.2, 0.3, up) / whole, 1, 0.01);
+    EXPECT_NEAR(area(0.25, 0, 0.3, up) / whole, 0.5, 0.01);
+    EXPECT_NEAR(area(0, 0, 0.3, up) / whole, 0.25, 0.01);
+    EXPECT_EQ(area(0.25, 0.2, 0.3, -up), 0);
+    EXPECT_EQ(area(0.25, 0.2, 0.33, up), 0);  // off the slab r / 4
+    EXPECT_NEAR(area(0.25, 0.2, 0.302, up) / whole, 1, 0.01);
     EXPECT_NEAR(
-        cube.kernel({.photon_radius = r}, 0.01).kernel_area({0.5f, 0.4f, 0.63f}, up, 0.1f) / whole,
+        cube.kernel({.photon_radius = r}, 0.01).kernel_area({0.25f, 0.2f, 0.33f}, up, 0.1f) / whole,
         std::pow(0.95, 3), 0.35);  // 2 s = 2 cm more: within the slab
     for (std::size_t i = 0; i < 100; ++i)
         EXPECT_EQ(kernel.kernel_area()[i],
                   kernel.kernel_area(cube.sites.position[i], cube.sites.normal[i], 0.1f));
+}
+
+TEST(PhotonMap, WeighsPhotonsByDistanceWithinTheSlab)
+{
+    const Land floor(shapes::box({0, 0, -0.2}, {1, 1, 0}), 0.05);
+    const PhotonParams params{.photon_radius = 0.2};
+    const SiteKernel kernel = floor.kernel(params, 0.01);  // half a slab: 0.2 / 4 + 2 * 0.01 = 0.07
+    const std::vector<Vec3f> at{{0.5f, 0.5f, 0}}, up{{0, 0, 1}};
+    const std::vector<float> area = kernel.kernel_area(at, up);
+    const std::vector<Vec3f> foot{{0.5f, 0.45f, 0}};
+    // What one photon adds, in shares of flux / area.
+    auto found = [&](const Photon& photon) {
+        const PhotonMap map({&photon, 1}, {foot, up, {}}, kernel, params);
+        const Irradiance light = map.at({at, up, area, {}}, {}, {});
+        return std::array<float, 3>{light.beam[0] * area[0] / photon.flux,
+                                    light.sky[0] * area[0] / photon.flux,
+                                    light.indirect[0] * area[0] / photon.flux};
+    };
+    auto photon_at = [](double x, double z, Vec3d n) {
+        return Photon{.position = Vec3f(Vec3d(0.5 + x, 0.5, z)), .normal = Vec3f(n), .flux = 3};
+    };
+    const Vec3d n(0, 0, 1), steep(std::sin(1.0), 0, std::cos(1.0)), wall(1, 0, 0);
+    EXPECT_NEAR(found(photon_at(0, 0, n))[0], 1, 1e-6);
+    EXPECT_NEAR(found(photon_at(0.05, 0, n))[0], 0.75, 1e-6);
+    EXPECT_NEAR(found(photon_at(-0.19, 0, n))[0], 0.05, 1e-6);
+    EXPECT_EQ(found(photon_at(0.21, 0, n))[0], 0);
+    EXPECT_NEAR(found(photon_at(0, 0.06, n))[0], 0.7, 1e-6);
+    EXPECT_NEAR(found(photon_at(0, -0.06, n))[0], 0.7, 1e-6);
+    EXPECT_EQ(found(photon_at(0, 0.08, n))[0], 0);
+    EXPECT_NEAR(found(photon_at(0.05, 0, steep))[0], 0.75, 1e-6);  // 57 degrees
+    EXPECT_EQ(found(photon_at(0.05, 0, wall))[0], 0);
+    EXPECT_EQ(found(photon_at(0, 0, -n))[0], 0);
+    // From the sky, and reflected.
+    Photon photon = photon_at(0, 0, n);
+    photon.source = Source::Sky;
+    EXPECT_THAT(found(photon), testing::ElementsAre(0, testing::FloatNear(1, 1e-6f), 0));
+    photon.bounce = 1;
+    EXPECT_THAT(found(photon), testing::ElementsAre(0, 0, testing::FloatNear(1, 1e-6f)));
+    // On moss, wherever its ball was met, at its foot.
+    photon = photon_at(0.4, 0.3, wall);
+    photon.on_moss = 1;
+    EXPECT_NEAR(found(photon)[0], 0.75, 1e-6);
 }
 
 TEST(PhotonMap, IsRightOnFacesEdgesAndCorners)
@@ -153,7 +195,7 @@ TEST(PhotonMap, ZonesUnderARoofHaveTheirBouncedLight)
 
 TEST(PhotonMap, SiteEstimateKeepsAllThatWasStored)
 {
-    const Land land(roof::mesh(), 0.05, 0.5f);
+    const Land land(roof::mesh(), 0.08, 0.5f);
     const PhotonParams params{.photons = 20'000, .photon_estimator = PhotonEstimator::Site};
     const SiteKernel kernel = land.kernel(params);
     const Shot shot = shoot(land.scene, overhead(90, 60), params, 3, 1, {});
@@ -348,7 +390,7 @@ TEST(PhotonMap, GatheringFindsDimLightWithFewPhotons)
     const Land land(roof::mesh(), 0.06);
     const PhotonParams params{.photons = 65'536, .direct = DirectLight::Rays, .final_gather = true};
     std::array<double, 5> mean{};
-    const int days = 4;
+    const int days = 2;
     for (std::uint64_t day = 1; day <= days; ++day) {
         const PhotonLight light = day_of(land, overhead(), params, {}, day);
         const auto indirect = zones.means(light.sites.indirect);

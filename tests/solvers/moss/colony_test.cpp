@@ -180,6 +180,31 @@ TEST(Colony, LightThatASeedKnowsIsItsPlants)
     EXPECT_EQ(colony.seeds.size(), 0u);
 }
 
+TEST(Colony, FitnessIsThatOfTheOwnLightAndTheSitesAir)
+{
+    const Community community{kThree, {}, {}, 5};
+    Colony colony;
+    std::vector<float> temperature, humidity;
+    for (std::uint32_t i = 0; i < 60; ++i) {
+        plant(colony, {0, 0, 0}, 1, {0, 0, 1}, static_cast<std::uint8_t>(i % 3), (i * 7) % 60);
+        colony.plants.light[i] = static_cast<float>(2 * i);
+        temperature.push_back(275 + 0.3F * static_cast<float>(i));
+        humidity.push_back(0.7F + 0.005F * static_cast<float>(i));
+    }
+    const auto g = fitness(colony.plants, community, temperature, humidity, {});
+    for (std::uint32_t i = 0; i < 60; ++i) {
+        const std::size_t site = (i * 7) % 60;
+        EXPECT_NEAR(g[i],
+                    fitness(kThree[i % 3], community.rules, double(temperature[site]),
+                            double(humidity[site]), 2.0 * i)
+                        .total(),
+                    1e-6);
+    }
+    humidity.resize(50);
+    EXPECT_THAT([&] { fitness(colony.plants, community, temperature, humidity, {}); },
+                ThrowsMessage<InvalidInput>(HasSubstr("humidity of 50")));
+}
+
 TEST(Colony, SporesAreAsManyADayAsAskedAndFlyApart)
 {
     const Land land(floor_mesh(2, 2), 0.5);
@@ -191,6 +216,32 @@ TEST(Colony, SporesAreAsManyADayAsAskedAndFlyApart)
     EXPECT_EQ(s.settled + s.collided, 5);
     EXPECT_GE(s.settled, 4);
     for (const std::uint8_t k : colony.seeds.kind) EXPECT_EQ(k, kSpore);
+}
+
+TEST(Colony, SporesDriftWithTheWindOfTheirSite)
+{
+    const Land land(floor_mesh(20, 20), 4);
+    const Community community{
+        std::span(kThree).first(1), kPaper, {.spore_wind = true, .external_interval = 0}, 5};
+    Colony colony;
+    std::vector<float> wind(land.sites.size(), 0.0F);
+    for (int i = 0; i < 40; ++i)
+        plant(colony, {1 + 0.1 * i, 10, 0.7}, 4.1, {0, 0, 1}, 0,
+              land.surface.closest({1 + 0.1 * i, 10, 0.7}, 0.01)->site);
+    for (const std::uint32_t site : colony.plants.site) wind[site] = 0.4F;
+    const Everywhere at(colony, 0.8F);
+    const SpeciesDay s =
+        day(colony, community, kParams, land.surface, {at.plants, at.seeds, wind, {0, 1, 0}}, {})
+            .species[0];
+    EXPECT_EQ(s.settled, 40);
+    // From a height of 0.21 to 0.30 m, at 0.02 m/s against 0.4 m/s.
+    double mean = 0;
+    for (const Vec3f& p : colony.seeds.foot) {
+        EXPECT_GT(p.y, 10 + 20 * 0.212 - 0.22);
+        EXPECT_LT(p.y, 10 + 20 * 0.3 + 0.22);
+        mean += double(p.y) / 40;
+    }
+    EXPECT_NEAR(mean, 10 + 20 * 0.3 * 0.853553, 0.3);
 }
 
 // Room --------------------------------------------------------------------------------------------
