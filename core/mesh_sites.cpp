@@ -433,4 +433,33 @@ MeshSites mesh_sites(const TriMesh& mesh, double longest_edge, const Progress& p
     return sites;
 }
 
+SitePieces cut_sites(const TriMesh& mesh, std::span<const float> area, double longest)
+{
+    constexpr int kMost = 32;
+    if (area.size() != mesh.triangles.size())
+        throw InvalidInput(fmt::format("sites: {} areas of {} triangles, must be as many",
+                                       area.size(), mesh.triangles.size()));
+    SitePieces pieces;
+    for (std::uint32_t i = 0; i < mesh.triangles.size(); ++i) {
+        const auto& t = mesh.triangles[i];
+        const Vec3f a = mesh.vertices[t[0]], ab = mesh.vertices[t[1]] - a,
+                    ac = mesh.vertices[t[2]] - a;
+        const double edge = double(std::max({length(ab), length(ac), length(ac - ab)}));
+        const int k = static_cast<int>(std::clamp(std::ceil(edge / longest), 1.0, double(kMost)));
+        const float step = 1 / static_cast<float>(k);
+        auto add = [&](int u, int v, float inside) {
+            pieces.position.push_back(a + ab * ((static_cast<float>(u) + inside) * step) +
+                                      ac * ((static_cast<float>(v) + inside) * step));
+            pieces.site.push_back(i);
+            pieces.area.push_back(area[i] * step * step);
+        };
+        for (int u = 0; u < k; ++u)
+            for (int v = 0; u + v < k; ++v) {
+                add(u, v, 1.0f / 3);
+                if (u + v + 1 < k) add(u, v, 2.0f / 3);  // the one upside down between them
+            }
+    }
+    return pieces;
+}
+
 }  // namespace sekitei

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "core/mesh.h"
@@ -40,5 +41,17 @@ struct MeshSites {
 ///
 /// Bit-identical for any number of threads; about 110 bytes a site.
 MeshSites mesh_sites(const TriMesh& mesh, double longest_edge, const Progress& progress);
+
+/// Sites as points: what a sum over the area around a place needs where sites are long beside it.
+struct SitePieces {
+    std::vector<Vec3f> position;      ///< centroids [m]
+    std::vector<std::uint32_t> site;  ///< each is part of
+    std::vector<float> area;          ///< [m^2]
+};
+
+/// Cuts each triangle into k^2 equal ones, none with an edge longer than `longest`, k at most 32.
+/// @param area  of each triangle [m^2]
+/// @throws InvalidInput  as many areas as triangles are expected
+SitePieces cut_sites(const TriMesh& mesh, std::span<const float> area, double longest);
 
 }  // namespace sekitei

@@ -246,7 +246,8 @@ private:
         const std::vector<float> albedo(sites.size(), static_cast<float>(light_.albedo));
         const light::PhotonScene rays(sites.mesh, albedo, 0.2, 0, progress.slice(0.3, 0.35));
         light::validate(photons_, rays.radius());
-        const light::SiteKernel kernel(sites.position, sites.normal, sites.area, photons_, 0);
+        const light::SiteKernel kernel(sites.position, sites.normal, sites.area, photons_, 0,
+                                       &sites.mesh);
         const light::Shot shot =
             shoot(rays, daylight, photons_, context.seed, 1, progress.slice(0.35, 0.6));
         light::PhotonLight found =

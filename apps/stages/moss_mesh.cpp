@@ -88,7 +88,7 @@ public:
                                                      setup.slice(0.9, 1));
         light::validate(p_.photons, rays_->radius());
         kernel_ = std::make_unique<light::SiteKernel>(sites_.position, sites_.normal, sites_.area,
-                                                      p_.photons, p_.colony.size);
+                                                      p_.photons, p_.colony.size, &sites_.mesh);
         room_ = moss::cover_capacity(p_.colony, sites_);
     }
 

@@ -9,6 +9,8 @@
 /// Directions drawn from two numbers in [0, 1).
 namespace sekitei::light {
 
+inline constexpr double kSunRadius = 0.2665 * math::kPi / 180;  // of its disc as seen from here
+
 /// Sine and cosine of a turn, 0 <= u < 1 for the whole circle. Both at once and inline, at a third
 /// of the cost of math::sin and cos; within 1e-15; the same bits on every machine.
 struct Turn {

@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "core/error.h"
+#include "core/mesh_sites.h"
 #include "core/parallel.h"
 #include "core/random.h"
 #include "solvers/light/lobes.h"
@@ -13,7 +14,8 @@
 namespace sekitei::light {
 namespace {
 
-constexpr Stream kGather{"photons.gather"};
+constexpr Stream kGather{"photons.gather"}, kSunRays{"photons.sun_rays"};
+constexpr int kLeastSunRays = 16;                             // a place
 constexpr float kSameSide = 0.5f;                             // least cosine between normals
 constexpr float kNearestLeast = 0.02f, kNearestMost = 0.20f;  // radii by photon_nearest [m]
 constexpr std::size_t kGrain = 64;
@@ -56,7 +58,8 @@ std::int32_t plant_of(const Receivers& receivers, std::size_t i)
 }  // namespace
 
 SiteKernel::SiteKernel(std::span<const Vec3f> position, std::span<const Vec3f> normal,
-                       std::span<const float> area, const PhotonParams& params, double moss_size)
+                       std::span<const float> area, const PhotonParams& params, double moss_size,
+                       const TriMesh* triangles)
     : position_(position),
       normal_(normal),
       area_(area),
@@ -72,9 +75,10 @@ SiteKernel::SiteKernel(std::span<const Vec3f> position, std::span<const Vec3f> n
     if (!(moss_size >= 0 && std::isfinite(moss_size)))
         throw InvalidParameter(
             fmt::format("photons: size of moss = {:.6g} m, must be >= 0", moss_size));
-    search_ = search_over(position, params);
-    for (const NumberedPoint& p : slots_of(search_))
-        patches_.push_back({normal[p.index], area[p.index]});
+    whole_.search = search_over(position, params);
+    for (const NumberedPoint& p : slots_of(whole_.search))
+        whole_.of_slot.push_back({normal[p.index], area[p.index]});
+    if (triangles) cut(*triangles, params);
     own_area_ = kernel_area(position, normal);
     if (params.photon_estimator != PhotonEstimator::Site) return;
 
@@ -111,21 +115,32 @@ SiteKernel::SiteKernel(std::span<const Vec3f> position, std::span<const Vec3f> n
     for (std::size_t j = 0; j < n; ++j) send_[j] = 1 / row[j];
 }
 
+void SiteKernel::cut(const TriMesh& triangles, const PhotonParams& params)
+{
+    // A sum over pieces of a third of the radius is good to half a per cent. With photon_nearest
+    // the radius may be far smaller than it is here; its sums are as rough as its light.
+    const SitePieces pieces = cut_sites(triangles, area_, double(radius_) / 3);
+    if (pieces.site.size() == size()) return;
+    cut_.search = search_over(pieces.position, params);
+    for (const NumberedPoint& p : slots_of(cut_.search))
+        cut_.of_slot.push_back({normal_[pieces.site[p.index]], pieces.area[p.index]});
+}
+
 template <class F>
-void SiteKernel::around(Vec3f at, Vec3f normal, float radius, F&& f) const
+void SiteKernel::around(const Patches& patches, Vec3f at, Vec3f normal, float radius, F&& f) const
 {
     const float half = slab(radius), per_radius = 1 / radius;
     std::visit(
         [&](const auto& search) {
             const NumberedPoint* points = search.points().data();
             search.within_slots(at, radius, [&](std::size_t slot, float d2) {
-                if (dot(patches_[slot].normal, normal) < kSameSide ||
+                if (dot(patches.of_slot[slot].normal, normal) < kSameSide ||
                     std::abs(dot(points[slot].at - at, normal)) > half)
                     return;
                 f(slot, 1 - std::sqrt(d2) * per_radius);
             });
         },
-        search_);
+        patches.search);
 }
 
 template <class F>
@@ -133,10 +148,10 @@ void SiteKernel::partners(std::size_t site, F&& f) const
 {
     const Vec3f at = position_[site];
     const float half = slab(radius_);
-    const NumberedPoint* points = slots_of(search_).data();
-    around(at, normal_[site], radius_, [&](std::size_t slot, float w) {
+    const NumberedPoint* points = slots_of(whole_.search).data();
+    around(whole_, at, normal_[site], radius_, [&](std::size_t slot, float w) {
         // Seen from the other side too, or the relation would not be symmetric.
-        if (std::abs(dot(points[slot].at - at, patches_[slot].normal)) <= half)
+        if (std::abs(dot(points[slot].at - at, whole_.of_slot[slot].normal)) <= half)
             f(points[slot].index, static_cast<double>(w));
     });
 }
@@ -144,8 +159,10 @@ void SiteKernel::partners(std::size_t site, F&& f) const
 float SiteKernel::kernel_area(Vec3f at, Vec3f normal, float radius) const
 {
     double sum = 0;
-    around(at, normal, radius,
-           [&](std::size_t slot, float w) { sum += static_cast<double>(patches_[slot].area * w); });
+    const Patches& patches = cut_.of_slot.empty() ? whole_ : cut_;
+    around(patches, at, normal, radius, [&](std::size_t slot, float w) {
+        sum += static_cast<double>(patches.of_slot[slot].area * w);
+    });
     return static_cast<float>(sum);
 }
 
@@ -176,9 +193,9 @@ std::vector<float> SiteKernel::spread(std::span<const double> flux) const
 double SiteKernel::mean_around(Vec3f at, Vec3f normal, std::span<const float> values) const
 {
     double sum = 0, weight = 0;
-    const NumberedPoint* points = slots_of(search_).data();
-    around(at, normal, radius_, [&](std::size_t slot, float w) {
-        const double share = static_cast<double>(patches_[slot].area) * w;
+    const NumberedPoint* points = slots_of(whole_.search).data();
+    around(whole_, at, normal, radius_, [&](std::size_t slot, float w) {
+        const double share = static_cast<double>(whole_.of_slot[slot].area) * w;
         sum += share * values[points[slot].index];
         weight += share;
     });
@@ -336,9 +353,16 @@ Irradiance PhotonMap::at(const Receivers& receivers, const Irradiance& at_sites,
 }
 
 std::vector<float> beam_by_rays(const PhotonScene& scene, const Daylight& daylight,
-                                const Receivers& receivers, const Progress& progress)
+                                const Receivers& receivers, std::uint64_t seed, std::uint64_t day,
+                                std::uint64_t salt, const Progress& progress)
 {
     std::vector<float> result(receivers.size());
+    if (daylight.beams.empty()) return result;
+    const std::uint64_t key = hash2(hash2(hash2(seed, kSunRays.id), day), salt);
+    // A day's many suns need one ray each; one that stands still gets several over its disc.
+    const auto rays = static_cast<int>(std::max<std::size_t>(
+        1, (kLeastSunRays + daylight.beams.size() - 1) / daylight.beams.size()));
+    static const double cap = cap_of_cone(kSunRadius);
     parallel_for_range(
         receivers.size(),
         [&](std::size_t begin, std::size_t end) {
@@ -346,20 +370,32 @@ std::vector<float> beam_by_rays(const PhotonScene& scene, const Daylight& daylig
             for (std::size_t i = begin; i < end; ++i) {
                 const Vec3d n(receivers.normal[i]);
                 const std::int32_t plant = plant_of(receivers, i);
+                const std::uint64_t place = hash2(key, i);
+                std::uint64_t draw = 0;
                 double sum = 0;
                 for (const Daylight::Beam& beam : daylight.beams) {
-                    const Vec3d towards = normalized(beam.towards);
-                    const double cosine = dot(n, towards);
-                    if (!(cosine > 0 && towards.z > 0 && beam.irradiance > 0)) continue;
-                    Vec3f origin = scene.off_surface(Vec3d(receivers.position[i]), n);
-                    if (plant >= 0) {
-                        const auto& [centre, radius] =
-                            scene.moss()[static_cast<std::size_t>(plant)];
-                        origin = scene.off_surface(
-                            Vec3d(centre) + towards * static_cast<double>(radius), towards);
+                    const Vec3d sun = normalized(beam.towards);
+                    if (!(sun.z > 0 && beam.irradiance > 0)) {
+                        draw += 2 * static_cast<std::uint64_t>(rays);
+                        continue;
                     }
-                    if (!scene.occluded(origin, Vec3f(towards), plant >= 0))
-                        sum += beam.irradiance * cosine;
+                    for (int k = 0; k < rays; ++k) {
+                        const double u = (k + uniform_of_key(place, draw)) / rays,
+                                     v = uniform_of_key(place, draw + 1);
+                        draw += 2;
+                        const Vec3d towards = cap_direction(Frame(sun), cap, u, v);
+                        const double cosine = dot(n, towards);
+                        if (!(cosine > 0)) continue;
+                        Vec3f origin = scene.off_surface(Vec3d(receivers.position[i]), n);
+                        if (plant >= 0) {
+                            const auto& [centre, radius] =
+                                scene.moss()[static_cast<std::size_t>(plant)];
+                            origin = scene.off_surface(
+                                Vec3d(centre) + towards * static_cast<double>(radius), towards);
+                        }
+                        if (!scene.occluded(origin, Vec3f(towards), plant >= 0))
+                            sum += beam.irradiance * cosine / rays;
+                    }
                 }
                 result[i] = static_cast<float>(sum);
             }
@@ -435,8 +471,8 @@ PhotonLight light_of_day(const PhotonScene& scene, const SiteKernel& sites,
     light.receivers = map.at(receivers, light.sites, progress);
     const Receivers all_sites{sites.position(), sites.normal(), sites.kernel_area(), {}};
     if (params.direct == DirectLight::Rays) {
-        light.sites.beam = beam_by_rays(scene, daylight, all_sites, progress);
-        light.receivers.beam = beam_by_rays(scene, daylight, receivers, progress);
+        light.sites.beam = beam_by_rays(scene, daylight, all_sites, seed, day, 0, progress);
+        light.receivers.beam = beam_by_rays(scene, daylight, receivers, seed, day, 1, progress);
     }
     if (!params.final_gather) return light;
 

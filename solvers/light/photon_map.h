@@ -26,10 +26,14 @@ class SiteKernel {
 public:
     /// Views the arrays, one element a site.
     /// @param moss_size  s [m], >= 0
+    /// @param triangles  site i is triangle i: sites that are long beside the radius are cut for
+    ///                   kernel_area(), where their centroids alone would be a poor sum; null:
+    ///                   taken as points
     /// @throws InvalidInput  arrays of different lengths, positions that are not finite, normals
     ///                       that are not unit, areas that are not > 0
     SiteKernel(std::span<const Vec3f> position, std::span<const Vec3f> normal,
-               std::span<const float> area, const PhotonParams& params, double moss_size);
+               std::span<const float> area, const PhotonParams& params, double moss_size,
+               const TriMesh* triangles = nullptr);
 
     std::size_t size() const { return position_.size(); }
     std::span<const Vec3f> position() const { return position_; }
@@ -59,9 +63,15 @@ private:
         Vec3f normal;
         float area;
     };
-    /// Calls f(slot, W) for the sites around a place.
+    /// Pieces of the land in an order that finds them by place.
+    struct Patches {
+        std::variant<CellIndex, KdTree> search;
+        std::vector<Patch> of_slot;
+    };
+    /// Calls f(slot, W) for the patches around a place.
     template <class F>
-    void around(Vec3f at, Vec3f normal, float radius, F&& f) const;
+    void around(const Patches& patches, Vec3f at, Vec3f normal, float radius, F&& f) const;
+    void cut(const TriMesh& triangles, const PhotonParams& params);
     /// Calls f(site, W) for the sites that a site shares light with.
     template <class F>
     void partners(std::size_t site, F&& f) const;
@@ -70,8 +80,8 @@ private:
     std::span<const float> area_;
     float radius_;
     double moss_size_;
-    std::variant<CellIndex, KdTree> search_;
-    std::vector<Patch> patches_;  // by slot of the search
+    Patches whole_;  // the sites
+    Patches cut_;    // the same, none long beside the radius; empty where they are so already
     std::vector<float> own_area_;
     std::vector<double> receive_, send_;  // c and e of spread()
 };
@@ -145,9 +155,12 @@ constexpr std::size_t PhotonMap::bytes_per_photon()
     return sizeof(NumberedPoint) + sizeof(Arrival) + sizeof(std::uint8_t);
 }
 
-/// The sun's own light, seen along one shadow ray a beam: sum_k E_k max(0, n . s_k) Vis(s_k).
+/// The sun's own light, along shadow rays to its disc: sum_k E_k max(0, n . s_k) Vis(s_k), one ray
+/// for each of many beams, 16 where there is one.
+/// @param salt  tells sets of receivers apart that share a day
 std::vector<float> beam_by_rays(const PhotonScene& scene, const Daylight& daylight,
-                                const Receivers& receivers, const Progress& progress);
+                                const Receivers& receivers, std::uint64_t seed, std::uint64_t day,
+                                std::uint64_t salt, const Progress& progress);
 
 /// Light of sky and surfaces at places with fewer than gather_below photons, by gather_rays cosine
 /// weighted rays: albedo times the irradiance where each ends, G_d where it leaves upwards.

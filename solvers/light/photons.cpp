@@ -22,7 +22,6 @@ constexpr float kNear = 1e-4f;  // rays start to see [m]
 constexpr double kLift = 1e-5;  // ray origins above surfaces, in radii of the scene
 constexpr double kMostAlbedo = 0.95;
 constexpr int kMostBounces = 64;
-constexpr double kSunRadius = 0.2665 * kPi / 180;  // of its disc as seen from here
 constexpr std::size_t kChunk = 1024, kWave = 32;
 
 constexpr Stream kSunPhoton{"photons.sun"}, kSkyPhoton{"photons.sky"}, kBounce{"photons.bounce"};

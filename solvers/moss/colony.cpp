@@ -659,15 +659,16 @@ std::vector<std::uint8_t> interior(const Plants& plants, const ColonyParams& par
 std::vector<float> cover_capacity(const ColonyParams& params, const MeshSites& sites)
 {
     const float radius = in_sizes(kCoverRadius, params);
-    const CellIndex centres(sites.position, radius);
+    const SitePieces pieces = cut_sites(sites.mesh, sites.area, double(radius) / 3);
+    const CellIndex centres(pieces.position, radius);
     std::vector<float> result(sites.size());
     parallel_for(
         sites.size(),
         [&](std::size_t i) {
             double area = 0;
             centres.within(sites.position[i], radius, [&](std::uint32_t k, float) {
-                if (double(dot(sites.normal[i], sites.normal[k])) >= kSameSide)
-                    area += double(sites.area[k]);
+                if (double(dot(sites.normal[i], sites.normal[pieces.site[k]])) >= kSameSide)
+                    area += double(pieces.area[k]);
             });
             result[i] = static_cast<float>(area / (kPacking * params.size * params.size));
         },
