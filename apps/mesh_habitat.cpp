@@ -127,6 +127,21 @@ TriMesh::Attribute carried(const TriMesh::Attribute& values, const std::vector<s
 
 }  // namespace
 
+MeshSites sites_of(const TriMesh& mesh, double longest_edge, const std::string& who,
+                   const Progress& progress)
+{
+    const MeshReport report = inspect(mesh);
+    if (report.open_edges > 0)
+        log::warning(
+            "{}: the mesh is open: {} edges have one face only; nothing grows on the back "
+            "of a sheet",
+            who, report.open_edges);
+    if (report.non_manifold_edges > 0)
+        log::detail("{}: {} edges of the mesh have more than two faces", who,
+                    report.non_manifold_edges);
+    return mesh_sites(mesh, longest_edge, progress);
+}
+
 void put_sites(Scene& scene, const MeshSites& sites, const TriMesh& was,
                const std::vector<SiteField>& fields, const std::vector<std::int32_t>* geology,
                const std::string& stage)
@@ -234,8 +249,9 @@ std::vector<std::int32_t> geology_of(const TriMesh& mesh, const MeshSites& sites
 
 namespace {
 
-constexpr std::array<const char*, 9> kZoneColumns{
-    "day", "zone", "species", "living", "growth", "light", "light_sd", "theta", "theta_median"};
+constexpr std::array<const char*, 10> kZoneColumns{"day",    "zone",        "species", "living",
+                                                   "growth", "fitness",     "light",   "light_sd",
+                                                   "theta",  "theta_median"};
 
 /// The value that half the area does not exceed.
 double median_by_area(std::vector<std::pair<double, double>>& values)
@@ -268,7 +284,8 @@ ZoneStatistics::ZoneStatistics(const TriMesh& mesh, const MeshSites& sites, int 
             std::ranges::lower_bound(zones_, (*zone)[face]) - zones_.begin()));
 }
 
-void ZoneStatistics::add(int day, const moss::Plants& plants, std::span<const float> light,
+void ZoneStatistics::add(int day, const moss::Plants& plants,
+                         std::span<const std::vector<float>> fitness, std::span<const float> light,
                          const std::vector<double>& water, const std::vector<float>& depth)
 {
     if (empty()) return;
@@ -288,7 +305,10 @@ void ZoneStatistics::add(int day, const moss::Plants& plants, std::span<const fl
         sum.water.emplace_back(theta, a);
     }
     const auto kinds = static_cast<std::size_t>(species_);
-    std::vector<double> living(zones_.size() * kinds), growth(living.size());
+    std::vector<double> living(zones_.size() * kinds), growth(living.size()), fit(living.size());
+    for (std::size_t i = 0; i < sites_.size(); ++i)
+        for (std::size_t s = 0; s < kinds; ++s)
+            fit[of_site_[i] * kinds + s] += double(sites_.area[i]) * double(fitness[s][i]);
     for (std::size_t i = 0; i < plants.size(); ++i) {
         const std::size_t k = of_site_[plants.site[i]] * kinds + plants.species[i];
         living[k] += 1;
@@ -301,7 +321,7 @@ void ZoneStatistics::add(int day, const moss::Plants& plants, std::span<const fl
             const double mean = sum.light / sum.area;
             for (const double value :
                  {double(day), double(zones_[z]), double(s), living[z * kinds + s],
-                  growth[z * kinds + s], mean,
+                  growth[z * kinds + s], fit[z * kinds + s] / sum.area, mean,
                   std::sqrt(std::max(0.0, sum.square / sum.area - mean * mean)),
                   sum.theta / sum.area, median})
                 rows_.push_back(value);

@@ -104,6 +104,10 @@ struct SiteField {
     std::vector<float> values;
 };
 
+/// Divides a mesh into sites; tells where it is open, for nothing grows on the back of a sheet.
+MeshSites sites_of(const TriMesh& mesh, double longest_edge, const std::string& who,
+                   const Progress& progress);
+
 /// Leaves the divided mesh as `rock`, with the fields and the old face attributes on its faces, and
 /// the points `sites`: its centroids, `N`, `area`, `face` of the mesh it was, and the fields.
 void put_sites(Scene& scene, const MeshSites& sites, const TriMesh& was,
@@ -120,6 +124,7 @@ std::vector<std::string> site_items();
 
 /// What grows and shines in each zone of a mesh, day by day: the points `zones`, a row for each
 /// day, zone and species, with `day`, `zone`, `species`, `living`, `growth` (sum of G_moss),
+/// `fitness` (mean G by area),
 /// `light` (mean S by area), `light_sd` (its deviation), `theta`, `theta_median` (of half the
 /// area).
 ///
@@ -127,8 +132,9 @@ std::vector<std::string> site_items();
 class ZoneStatistics {
 public:
     ZoneStatistics(const TriMesh& mesh, const MeshSites& sites, int species);
-    void add(int day, const moss::Plants& plants, std::span<const float> light,
-             const std::vector<double>& water, const std::vector<float>& depth);
+    void add(int day, const moss::Plants& plants, std::span<const std::vector<float>> fitness,
+             std::span<const float> light, const std::vector<double>& water,
+             const std::vector<float>& depth);
     bool empty() const { return zones_.empty(); }
     Points points(const std::string& stage) const;
 

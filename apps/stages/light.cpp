@@ -228,7 +228,7 @@ private:
     {
         const Progress& progress = context.progress;
         const TriMesh was = scene.meshes.at("rock");
-        const MeshSites sites = mesh_sites(was, ground_.site, progress.slice(0, 0.05));
+        const MeshSites sites = sites_of(was, ground_.site, "light", progress.slice(0, 0.05));
         check_memory("light", 2e8 + 400 * double(sites.size()) + 150 * double(photons_.photons),
                      context.memory_limit);
         Weather weather;

@@ -53,12 +53,13 @@ public:
           p_(params),
           run_(run),
           was_(scene.meshes.at("rock")),
-          sites_(mesh_sites(was_, params.land.site, context.progress.slice(0, 0.02))),
+          sites_(sites_of(was_, params.land.site, "moss", context.progress.slice(0, 0.02))),
           surface_(sites_, context.progress.slice(0.02, 0.03)),
           statistics_(int(run.species.size()), true),
           zones_(was_, sites_, int(run.species.size()))
     {
         const Progress setup = context.progress.slice(0.03, 0.1);
+        check_memory("moss", memory(), context.memory_limit);
         const bool full = p_.climate.profile == Profile::Full;
         weather_ = weather_of_run(scene, p_, run_, context_, real_weather_);
         mode_ = sun_mode(p_.land, real_weather_);
@@ -129,6 +130,13 @@ public:
     }
 
 private:
+    /// Bytes at the peak: rays' geometry, sites, a day's photons, the scene that is written.
+    double memory() const
+    {
+        return 2e8 + 900.0 * double(sites_.size()) + 200.0 * double(p_.photons.photons) +
+               700.0 * p_.colony.cap;
+    }
+
     std::vector<float> mask_of(const std::string& name) const
     {
         std::vector<float> mask = attribute_at_sites(was_, sites_, name);
@@ -291,7 +299,8 @@ private:
                                rests_on / double(sites_.size())};
         statistics_.add(now_.colony.day, ground_, ground_day_, now_.light, now_.water,
                         {&mosses, {}, fitness_today_, low}, more);
-        zones_.add(now_.colony.day, plants, now_.light, now_.water, ground_.depth());
+        zones_.add(now_.colony.day, plants, fitness_today_, now_.light, now_.water,
+                   ground_.depth());
         lost_ += l.lost;
         emitted_ += l.emitted;
     }
