@@ -76,6 +76,8 @@ public:
         sky_view_ = std::move(seen.sky_view);
         rain_exposure_ = std::move(seen.rain_exposure);
         make_ground(setup.slice(0.6, 0.9));
+        // Only the water's paths ask who lies beside whom.
+        sites_.neighbour_begin = sites_.neighbour = {};
 
         std::vector<float> albedo(sites_.size());
         for (std::size_t i = 0; i < albedo.size(); ++i) {
@@ -489,7 +491,7 @@ private:
     const MeshMossParams& p_;
     const MossRun& run_;
     const TriMesh was_;
-    const MeshSites sites_;
+    MeshSites sites_;
     const moss::MeshSurface surface_;
     Weather weather_;
     bool real_weather_ = false, sky_ = false;
