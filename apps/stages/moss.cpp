@@ -363,12 +363,8 @@ private:
     {
         moss::Checkpoint c =
             moss::decode(read_file(file, 1ull << 36), file.string(), context.seed, recipe, cells);
-        auto field = [&](const std::string& name) -> std::vector<double>& {
-            const auto found = c.fields.find(name);
-            if (found == c.fields.end())
-                throw InvalidInput(
-                    fmt::format("{}: the checkpoint has no field '{}'", file.string(), name));
-            return found->second;
+        auto field = [&](const std::string& name) -> const std::vector<double>& {
+            return c.field(name, file.string());
         };
         now.population = std::move(c.population);
         now.water = field("water");

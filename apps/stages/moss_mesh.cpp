@@ -438,12 +438,8 @@ private:
     {
         moss::ColonyCheckpoint c = moss::decode_colony(read_file(file, 1ull << 36), file.string(),
                                                        context_.seed, recipe, sites_.size());
-        auto field = [&](const std::string& name) -> std::vector<double>& {
-            const auto found = c.fields.find(name);
-            if (found == c.fields.end())
-                throw InvalidInput(
-                    fmt::format("{}: the checkpoint has no field '{}'", file.string(), name));
-            return found->second;
+        auto field = [&](const std::string& name) -> const std::vector<double>& {
+            return c.field(name, file.string());
         };
         now_.water = field("water");
         now_.means->restore(field("means"));

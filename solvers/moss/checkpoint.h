@@ -5,6 +5,8 @@
 #include <string>
 #include <vector>
 
+#include "core/error.h"
+
 namespace sekitei::moss {
 
 /// What a run needs to go on after an interruption.
@@ -17,6 +19,14 @@ struct CheckpointOf {
     State population;
     /// What other solvers carry from day to day, by name: soil water.
     std::map<std::string, std::vector<double>> fields;
+
+    /// @param where  the file, for the message
+    /// @throws InvalidInput  there is none of this name
+    const std::vector<double>& field(const std::string& name, const std::string& where) const
+    {
+        if (const auto found = fields.find(name); found != fields.end()) return found->second;
+        throw InvalidInput(where + ": the checkpoint has no field '" + name + "'");
+    }
 
     friend bool operator==(const CheckpointOf&, const CheckpointOf&) = default;
 };
