@@ -127,6 +127,11 @@ TriMesh::Attribute carried(const TriMesh::Attribute& values, const std::vector<s
 
 }  // namespace
 
+double mesh_memory(double sites, const light::PhotonParams& photons, int plants)
+{
+    return 2e8 + 900 * sites + 200 * double(photons.photons) + 700.0 * plants;
+}
+
 MeshSites sites_of(const TriMesh& mesh, double longest_edge, const std::string& who,
                    const Progress& progress)
 {

@@ -104,6 +104,9 @@ struct SiteField {
     std::vector<float> values;
 };
 
+/// Bytes at the peak: rays' geometry, sites, a day's photons, plants, the scene that is written.
+double mesh_memory(double sites, const light::PhotonParams& photons, int plants);
+
 /// Divides a mesh into sites; tells where it is open, for nothing grows on the back of a sheet.
 MeshSites sites_of(const TriMesh& mesh, double longest_edge, const std::string& who,
                    const Progress& progress);

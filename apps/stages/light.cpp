@@ -127,6 +127,9 @@ public:
 
     Need estimate(SceneOutline& outline, const StageContext&) override
     {
+        if (on_mesh())
+            return {outline.surface_cells, mesh_memory(outline.surface_cells, photons_, 0),
+                    outline.surface_cells * 100};
         if (outline.surface_cells == 0)
             outline.surface_cells = 6 * std::pow(std::max(1.0, outline.lava_voxels), 2.0 / 3);
         return {outline.surface_cells, memory(outline.surface_cells), outline.surface_cells * 200};
@@ -229,8 +232,7 @@ private:
         const Progress& progress = context.progress;
         const TriMesh was = scene.meshes.at("rock");
         const MeshSites sites = sites_of(was, ground_.site, "light", progress.slice(0, 0.05));
-        check_memory("light", 2e8 + 400 * double(sites.size()) + 150 * double(photons_.photons),
-                     context.memory_limit);
+        check_memory("light", mesh_memory(double(sites.size()), photons_, 0), context.memory_limit);
         Weather weather;
         if (choice_.weather.empty())
             weather.site = Site{};

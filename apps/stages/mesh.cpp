@@ -56,8 +56,15 @@ public:
         if (!params_.file.empty()) warn_unused(*this, {"grid", "iso"}, "with file");
     }
 
-    Need estimate(SceneOutline& outline, const StageContext&) override
+    Need estimate(SceneOutline& outline, const StageContext& context) override
     {
+        if (!params_.file.empty()) {
+            std::error_code unknown;
+            const auto bytes =
+                double(std::filesystem::file_size(resolve(context, params_.file), unknown));
+            outline.surface_cells = unknown ? 0 : bytes / 25;  // a binary PLY's share of a face
+            return {outline.surface_cells, memory(outline.surface_cells), unknown ? 0 : bytes};
+        }
         // A cube of n voxels has 6 n^(2/3) faces with about four triangles each; joints double
         // that.
         const double triangles = 50 * std::pow(std::max(1.0, outline.lava_voxels), 2.0 / 3);

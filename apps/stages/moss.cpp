@@ -171,6 +171,10 @@ public:
 
     Need estimate(SceneOutline& outline, const StageContext&) override
     {
+        if (on_mesh())
+            return {outline.surface_cells,
+                    mesh_memory(outline.surface_cells, mesh_.photons, mesh_.colony.cap),
+                    outline.surface_cells * 150};
         return {outline.surface_cells, memory(outline.surface_cells), outline.surface_cells * 90};
     }
 

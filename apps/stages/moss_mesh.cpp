@@ -59,7 +59,8 @@ public:
           zones_(was_, sites_, int(run.species.size()))
     {
         const Progress setup = context.progress.slice(0.03, 0.1);
-        check_memory("moss", memory(), context.memory_limit);
+        check_memory("moss", mesh_memory(double(sites_.size()), p_.photons, p_.colony.cap),
+                     context.memory_limit);
         const bool full = p_.climate.profile == Profile::Full;
         weather_ = weather_of_run(scene, p_, run_, context_, real_weather_);
         mode_ = sun_mode(p_.land, real_weather_);
@@ -132,13 +133,6 @@ public:
     }
 
 private:
-    /// Bytes at the peak: rays' geometry, sites, a day's photons, the scene that is written.
-    double memory() const
-    {
-        return 2e8 + 900.0 * double(sites_.size()) + 200.0 * double(p_.photons.photons) +
-               700.0 * p_.colony.cap;
-    }
-
     std::vector<float> mask_of(const std::string& name) const
     {
         std::vector<float> mask = attribute_at_sites(was_, sites_, name);
