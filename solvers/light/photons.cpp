@@ -1,6 +1,7 @@
 #include "solvers/light/photons.h"
 
 #include <fmt/format.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <cmath>
@@ -23,6 +24,7 @@ constexpr double kLift = 1e-5;  // ray origins above surfaces, in radii of the s
 constexpr double kMostAlbedo = 0.95;
 constexpr int kMostBounces = 64;
 constexpr std::size_t kChunk = 1024, kWave = 32;
+constexpr std::size_t kMapBytes = 60;  // a photon, most that PhotonMap holds while it is made
 
 constexpr Stream kSunPhoton{"photons.sun"}, kSkyPhoton{"photons.sky"}, kBounce{"photons.bounce"};
 
@@ -250,43 +252,6 @@ private:
     double lamp_power_ = 0, least_u_ = 0;
 };
 
-/// Follows a photon from where it was met first until it is gone.
-void follow(const PhotonScene& scene, const Emitted& photon, PhotonScene::Hit hit,
-            const Draws::OfPhoton& draw, bool indirect, std::vector<Photon>& out, Ledger& sum)
-{
-    const double flux = photon.flux, farthest = 4 * scene.radius() * scene.radius();
-    Vec3f direction = photon.direction;
-    for (int bounce = 0;; ++bounce) {
-        // Rays along a surface may meet it nowhere, or far away.
-        const Vec3d off = hit.position - scene.centre();
-        if (!(dot(off, off) <= farthest)) {
-            sum.lost += flux;
-            return;
-        }
-        out.push_back({Vec3f(hit.position), direction, Vec3f(hit.normal), photon.flux, hit.target,
-                       static_cast<std::uint8_t>(bounce), photon.source,
-                       static_cast<std::uint8_t>(hit.on_moss),
-                       static_cast<std::uint8_t>(hit.back)});
-        sum.stored += flux;
-        const auto first = static_cast<std::uint64_t>(bounce) * 3;
-        if (!(draw(first) < scene.albedo_of(hit.on_moss, hit.target))) {
-            sum.absorbed += flux;
-            return;
-        }
-        sum.reflected += flux;
-        if (!indirect || bounce == kMostBounces) {
-            (indirect ? sum.lost : sum.escaped) += flux;
-            return;
-        }
-        const Vec3f origin = scene.off_surface(hit.position, hit.normal);
-        direction = Vec3f(cosine_direction(Frame(hit.normal), draw(first + 1), draw(first + 2)));
-        if (!scene.intersect(origin, direction, hit)) {
-            sum.escaped += flux;
-            return;
-        }
-    }
-}
-
 /// Whether the line of a ray passes through a box: seen along each axis [Ericson2005, 5.3.3].
 bool may_meet(Vec3d centre, Vec3d half, Vec3f origin, Vec3f direction)
 {
@@ -310,6 +275,133 @@ void add(Ledger& all, const Ledger& part)
     all.tries += part.tries;
 }
 
+/// Photons of one chunk on their way, all by one bounce at a time: rays are asked for together.
+class Chunk {
+public:
+    /// Makes photons begin .. end with source(i, tries) and follows them.
+    template <class Sourced, class MayMeet>
+    void run(const PhotonScene& scene, std::size_t begin, std::size_t end, const Sourced& source,
+             const MayMeet& may_meet, bool indirect, const Draws& draws)
+    {
+        ledger_ = {};
+        found_.clear();
+        path_.clear();
+        const std::size_t count = end - begin;
+        // Made side by side first: they do not wait for one another.
+        for (std::size_t i = 0; i < count; ++i) photons_[i] = source(begin + i, ledger_.tries);
+        std::size_t alive = 0;
+        for (std::size_t i = 0; i < count; ++i) {
+            const Emitted& photon = photons_[i];
+            stored_[i] = 0;
+            end_[i] = End::Missed;
+            rays_[alive] = {photon.origin, photon.direction};
+            who_[alive] = static_cast<std::uint16_t>(i);
+            alive += may_meet(photon);
+        }
+        for (int bounce = 0; alive > 0; ++bounce) {
+            scene.intersect({rays_.data(), alive}, hits_);
+            std::size_t left = 0;
+            for (std::size_t k = 0; k < alive; ++k) {
+                const std::uint16_t who = who_[k];
+                const bool goes_on = arrive(scene, who, rays_[k].direction, hits_[k], bounce,
+                                            indirect, draws[begin + who], rays_[left]);
+                who_[left] = who;
+                left += goes_on;
+            }
+            alive = left;
+        }
+        account(count);
+    }
+    std::size_t size() const { return found_.size(); }
+    const Ledger& ledger() const { return ledger_; }
+    /// Copies what was stored, by path, then by bounce.
+    void copy_to(Photon* out)
+    {
+        for (std::size_t k = 0; k < found_.size(); ++k) out[place_[path_[k]]++] = found_[k];
+    }
+
+private:
+    enum class End : std::uint8_t { Missed, Absorbed, Escaped, Lost };
+
+    /// Stores a hit; whether the photon goes on, along `next`.
+    bool arrive(const PhotonScene& scene, std::uint16_t who, Vec3f direction,
+                const PhotonScene::Hit& hit, int bounce, bool indirect, const Draws::OfPhoton& draw,
+                PhotonScene::Ray& next)
+    {
+        if (hit.distance == INFINITY) {
+            if (bounce > 0) end_[who] = End::Escaped;
+            return false;
+        }
+        // Rays along a surface may meet it nowhere, or far away.
+        const Vec3d off = hit.position - scene.centre();
+        if (!(dot(off, off) <= 4 * scene.radius() * scene.radius())) {
+            end_[who] = End::Lost;
+            return false;
+        }
+        const Emitted& photon = photons_[who];
+        found_.push_back({Vec3f(hit.position), direction, Vec3f(hit.normal), photon.flux,
+                          hit.target, static_cast<std::uint8_t>(bounce), photon.source,
+                          static_cast<std::uint8_t>(hit.on_moss),
+                          static_cast<std::uint8_t>(hit.back)});
+        path_.push_back(who);
+        ++stored_[who];
+        const auto first = static_cast<std::uint64_t>(bounce) * 3;
+        if (!(draw(first) < scene.albedo_of(hit.on_moss, hit.target))) {
+            end_[who] = End::Absorbed;
+            return false;
+        }
+        if (!indirect || bounce == kMostBounces) {
+            end_[who] = indirect ? End::Lost : End::Escaped;
+            return false;
+        }
+        next = {scene.off_surface(hit.position, hit.normal),
+                Vec3f(cosine_direction(Frame(hit.normal), draw(first + 1), draw(first + 2)))};
+        return true;
+    }
+
+    /// Sums by path, in order.
+    void account(std::size_t count)
+    {
+        std::uint32_t place = 0;
+        for (std::size_t i = 0; i < count; ++i) {
+            place_[i] = place;
+            place += stored_[i];
+            const double flux = photons_[i].flux;
+            ledger_.emitted += flux;
+            for (int k = 0; k < stored_[i]; ++k) ledger_.stored += flux;
+            for (int k = end_[i] == End::Absorbed; k < stored_[i]; ++k) ledger_.reflected += flux;
+            (end_[i] == End::Missed     ? ledger_.missed
+             : end_[i] == End::Absorbed ? ledger_.absorbed
+             : end_[i] == End::Escaped  ? ledger_.escaped
+                                        : ledger_.lost) += flux;
+        }
+        ledger_.photons += count;
+    }
+
+    std::array<Emitted, kChunk> photons_;
+    std::array<PhotonScene::Ray, kChunk> rays_;
+    std::array<PhotonScene::Hit, kChunk> hits_;
+    std::array<std::uint16_t, kChunk> who_;  // number in the chunk of a ray's photon
+    std::array<std::uint8_t, kChunk> stored_;
+    std::array<End, kChunk> end_;
+    std::array<std::uint32_t, kChunk> place_;
+    std::vector<Photon> found_;
+    std::vector<std::uint16_t> path_;  // of what was found
+    Ledger ledger_;
+};
+
+/// Refuses what this machine could not hold, rather than be killed half way.
+void check_memory(double photons, const std::string& what, double bytes)
+{
+    const double there =
+        static_cast<double>(sysconf(_SC_PHYS_PAGES)) * static_cast<double>(sysconf(_SC_PAGESIZE));
+    if (bytes > there)
+        throw LimitExceeded(fmt::format(
+            "photons: photons = {:.6g} {}, which needs about {} of memory; this machine has {}. "
+            "Send fewer.",
+            photons, what, bytes_text(bytes), bytes_text(there)));
+}
+
 /// Follows photons source(i, tries) for i < count.
 template <class Sourced>
 Shot follow_all(const PhotonScene& scene, std::size_t count, const Sourced& source, bool indirect,
@@ -324,46 +416,44 @@ Shot follow_all(const PhotonScene& scene, std::size_t count, const Sourced& sour
         box.add(Vec3d(c) + Vec3d(r));
     }
     const Vec3d middle = box.centre(), half = box.size() / 2.0 + Vec3d(1e-5 * scene.radius());
+    auto meets = [&](const Emitted& e) { return may_meet(middle, half, e.origin, e.direction); };
     // Chunks take turns in few buffers, which stay in cache; they are joined in order.
-    std::array<std::vector<Photon>, kWave> stored;
-    std::array<Ledger, kWave> ledgers;
     const std::size_t chunks = (count + kChunk - 1) / kChunk;
+    std::vector<Chunk> buffers(std::min(kWave, chunks));
     for (std::size_t first = 0; first < chunks; first += kWave) {
         const std::size_t wave = std::min(kWave, chunks - first);
         parallel_for(wave, [&](std::size_t w) {
             progress.check();
-            stored[w].clear();
-            ledgers[w] = {};
             const std::size_t begin = (first + w) * kChunk, end = std::min(count, begin + kChunk);
-            Ledger& sum = ledgers[w];
-            // Made side by side first: they do not wait for one another.
-            std::array<Emitted, kChunk> photons;
-            for (std::size_t i = begin; i < end; ++i) photons[i - begin] = source(i, sum.tries);
-            for (std::size_t i = begin; i < end; ++i) {
-                const Emitted& photon = photons[i - begin];
-                sum.emitted += photon.flux;
-                ++sum.photons;
-                PhotonScene::Hit hit;
-                if (may_meet(middle, half, photon.origin, photon.direction) &&
-                    scene.intersect(photon.origin, photon.direction, hit))
-                    follow(scene, photon, hit, draws[i], indirect, stored[w], sum);
-                else
-                    sum.missed += photon.flux;
-            }
+            buffers[w].run(scene, begin, end, source, meets, indirect, draws);
         });
-        std::size_t more = 0;
-        for (std::size_t w = 0; w < wave; ++w) more += stored[w].size();
-        if (first == 0) shot.photons.reserve(more + more * (chunks - wave) / wave * 17 / 16);
+        std::array<std::size_t, kWave + 1> start{shot.photons.size()};
         for (std::size_t w = 0; w < wave; ++w) {
-            shot.photons.insert(shot.photons.end(), stored[w].begin(), stored[w].end());
-            add(shot.ledger, ledgers[w]);
+            start[w + 1] = start[w] + buffers[w].size();
+            add(shot.ledger, buffers[w].ledger());
         }
+        if (start[wave] > shot.photons.capacity()) {
+            // As many again from the chunks to come as from those until now, and a little more.
+            const std::size_t done = first + wave;
+            const double all =
+                static_cast<double>(start[wave]) *
+                (1 + 17.0 / 16 * static_cast<double>(chunks - done) / static_cast<double>(done));
+            check_memory(static_cast<double>(count),
+                         fmt::format("leave {} stored", count_text(all)),
+                         all * static_cast<double>(sizeof(Photon) + kMapBytes));
+            shot.photons.reserve(static_cast<std::size_t>(all));
+        }
+        shot.photons.resize(start[wave]);
+        parallel_for(
+            wave, [&](std::size_t w) { buffers[w].copy_to(shot.photons.data() + start[w]); }, 8);
     }
     return shot;
 }
 
 std::vector<Emitted> emit_all(const Emitter& emitter, std::uint64_t& tries)
 {
+    const auto count = static_cast<double>(emitter.count());
+    check_memory(count, "are kept until all are drawn", count * sizeof(Emitted));
     std::vector<Emitted> photons(emitter.count());
     tries = parallel_fold(
         photons.size(), kChunk, std::uint64_t{0},
@@ -514,40 +604,102 @@ void PhotonScene::set_moss(std::span<const Sphere> moss)
             fmt::format("photons: no memory for the rays of {} mosses", moss.size()));
 }
 
+/// Where a ray meets the plane of a triangle.
+void PhotonScene::land_hit(Vec3f origin, Vec3f direction, std::uint32_t triangle, Hit& hit) const
+{
+    const Vec3d o(origin), d(direction);
+    const Rays::Plane& plane = rays_->planes[triangle];
+    const Vec3d n(plane.normal);
+    const double towards = dot(n, d);
+    hit.target = triangle;
+    hit.on_moss = false;
+    hit.back = towards > 0;
+    hit.normal = hit.back ? -n : n;
+    hit.distance = (static_cast<double>(plane.offset) - dot(n, o - centre_)) / towards;
+    hit.position = o + d * hit.distance;
+}
+
+/// Where a ray meets a ball: at the root of |o + t d - c| = r next to `met`.
+void PhotonScene::moss_hit(Vec3f origin, Vec3f direction, std::uint32_t plant, float met,
+                           Hit& hit) const
+{
+    const Vec3d o(origin), d(direction);
+    const Vec3d c(moss_[plant].centre), off = o - c;
+    const auto r = static_cast<double>(moss_[plant].radius);
+    const double a = dot(d, d), half_b = dot(off, d);
+    const double root = std::sqrt(std::max(0.0, half_b * half_b - a * (dot(off, off) - r * r)));
+    const double in = (-half_b - root) / a, out = (-half_b + root) / a;
+    const auto near = static_cast<double>(met);
+    hit.target = plant;
+    hit.on_moss = true;
+    hit.back = std::abs(out - near) < std::abs(in - near);
+    hit.distance = hit.back ? out : in;
+    hit.position = o + d * hit.distance;
+    hit.normal = normalized(hit.position - c) * (hit.back ? -1.0 : 1.0);
+}
+
 bool PhotonScene::intersect(Vec3f origin, Vec3f direction, Hit& hit, bool moss_too) const
 {
     constexpr float kFar = INFINITY;
-    const Vec3d o(origin), d(direction);
-    const bool land = rays_->land->intersect(origin, direction, kNear, kFar, hit.target);
-    if (land) {
-        const Rays::Plane& plane = rays_->planes[hit.target];
-        const Vec3d n(plane.normal);
-        const double towards = dot(n, d);
-        hit.on_moss = false;
-        hit.back = towards > 0;
-        hit.normal = hit.back ? -n : n;
-        hit.distance = (static_cast<double>(plane.offset) - dot(n, o - centre_)) / towards;
-        hit.position = o + d * hit.distance;
-    }
+    std::uint32_t triangle = 0;
+    const bool land = rays_->land->intersect(origin, direction, kNear, kFar, triangle);
+    if (land) land_hit(origin, direction, triangle, hit);
     if (!rays_->moss || !moss_too) return land;
     const float most = land ? static_cast<float>(hit.distance) : kFar;
     RTCRayHit query;
     if (!rays::first_hit(rays_->moss, rays::ray_of(origin, direction, kNear, most), query))
         return land;
-    hit.target = query.hit.primID;
-    hit.on_moss = true;
-    const Vec3d c(moss_[hit.target].centre), off = o - c;
-    const auto r = static_cast<double>(moss_[hit.target].radius);
-    // Roots of |o + t d - c| = r; Embree tells which of them.
-    const double a = dot(d, d), half_b = dot(off, d);
-    const double root = std::sqrt(std::max(0.0, half_b * half_b - a * (dot(off, off) - r * r)));
-    const double in = (-half_b - root) / a, out = (-half_b + root) / a;
-    const auto met = static_cast<double>(query.ray.tfar);
-    hit.back = std::abs(out - met) < std::abs(in - met);
-    hit.distance = hit.back ? out : in;
-    hit.position = o + d * hit.distance;
-    hit.normal = normalized(hit.position - c) * (hit.back ? -1.0 : 1.0);
+    moss_hit(origin, direction, query.hit.primID, query.ray.tfar, hit);
     return true;
+}
+
+void PhotonScene::intersect(std::span<const Ray> rays, std::span<Hit> hits) const
+{
+    constexpr std::size_t kLanes = 8;
+    for (std::size_t first = 0; first < rays.size(); first += kLanes) {
+        const std::size_t lanes = std::min(kLanes, rays.size() - first);
+        alignas(32) std::array<int, kLanes> valid{};
+        RTCRayHit8 query;
+        auto load = [&](std::size_t k, float far) {
+            const Ray& ray = rays[first + k];
+            query.ray.org_x[k] = ray.origin.x;
+            query.ray.org_y[k] = ray.origin.y;
+            query.ray.org_z[k] = ray.origin.z;
+            query.ray.dir_x[k] = ray.direction.x;
+            query.ray.dir_y[k] = ray.direction.y;
+            query.ray.dir_z[k] = ray.direction.z;
+            query.ray.tnear[k] = kNear;
+            query.ray.tfar[k] = far;
+            query.ray.time[k] = 0;
+            query.ray.mask[k] = 0xFFFFFFFFu;
+            query.ray.id[k] = 0;
+            query.ray.flags[k] = 0;
+            query.hit.geomID[k] = RTC_INVALID_GEOMETRY_ID;
+            query.hit.instID[0][k] = RTC_INVALID_GEOMETRY_ID;
+        };
+        for (std::size_t k = 0; k < lanes; ++k) {
+            load(k, INFINITY);
+            valid[k] = -1;
+        }
+        rays_->land->intersect(valid.data(), query);
+        for (std::size_t k = 0; k < lanes; ++k) {
+            const auto& [origin, direction] = rays[first + k];
+            if (query.hit.geomID[k] == RTC_INVALID_GEOMETRY_ID)
+                hits[first + k].distance = INFINITY;
+            else
+                land_hit(origin, direction, query.hit.primID[k], hits[first + k]);
+        }
+        if (!rays_->moss) continue;
+        for (std::size_t k = 0; k < lanes; ++k)
+            load(k, static_cast<float>(hits[first + k].distance));
+        rays::first_hits(rays_->moss, valid.data(), query);
+        for (std::size_t k = 0; k < lanes; ++k) {
+            const auto& [origin, direction] = rays[first + k];
+            if (query.hit.geomID[k] != RTC_INVALID_GEOMETRY_ID)
+                moss_hit(origin, direction, query.hit.primID[k], query.ray.tfar[k],
+                         hits[first + k]);
+        }
+    }
 }
 
 bool PhotonScene::occluded(Vec3f origin, Vec3f direction, bool moss_too) const

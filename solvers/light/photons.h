@@ -160,6 +160,11 @@ public:
     /// @param direction  unit
     /// @param moss_too   else it passes through moss
     bool intersect(Vec3f origin, Vec3f direction, Hit& hit, bool moss_too = true) const;
+    struct Ray {
+        Vec3f origin, direction;
+    };
+    /// The same for many rays, faster. hits[i].distance is infinite where ray i meets nothing.
+    void intersect(std::span<const Ray> rays, std::span<Hit> hits) const;
     /// Whether land is in the way, or moss if `moss_too`.
     bool occluded(Vec3f origin, Vec3f direction, bool moss_too) const;
     /// Where rays start that leave a surface on the side of `normal`.
@@ -169,6 +174,9 @@ public:
     }
 
 private:
+    void land_hit(Vec3f origin, Vec3f direction, std::uint32_t triangle, Hit& hit) const;
+    void moss_hit(Vec3f origin, Vec3f direction, std::uint32_t plant, float met, Hit& hit) const;
+
     struct Rays;
     std::unique_ptr<Rays> rays_;
     std::vector<float> albedo_;
@@ -235,6 +243,11 @@ Shot trace(const PhotonScene& scene, std::span<const Emitted> emitted, bool indi
            std::uint64_t seed, std::uint64_t day, const Progress& progress);
 
 /// emit() and trace(). A function of its arguments: the same bits on any number of threads.
+///
+/// All stored photons are held, 48 bytes each; 60 more while their map is made. Photons on their
+/// way take no room, but for those of a square lamp (32 bytes each).
+/// @throws LimitExceeded  more stored photons than this machine could hold, reckoned from the first
+///                        32 768
 /// Logs a warning where more than 1e-6 of the power is lost.
 Shot shoot(const PhotonScene& scene, const Daylight& daylight, const PhotonParams& params,
            std::uint64_t seed, std::uint64_t day, const Progress& progress);

@@ -77,6 +77,18 @@ inline bool first_hit(RTCScene scene, const RTCRay& ray, RTCRayHit& query)
     return first_hit(scene, ray, query, context);
 }
 
+/// first_hit() of up to eight rays at once; those whose `valid` is 0 are left alone. What is met at
+/// the very edge of two triangles may be the other one of them.
+inline void first_hits(RTCScene scene, const int* valid, RTCRayHit8& query)
+{
+#if RTC_VERSION_MAJOR >= 4
+    rtcIntersect8(valid, scene, &query, nullptr);
+#else
+    QueryContext context;
+    rtcIntersect8(valid, scene, &context, &query);
+#endif
+}
+
 /// Calls f(primitive) for whatever may lie within `radius` of a place, and for some that lie a
 /// little farther; f returns the radius that still matters, which only shrinks.
 template <class F>
@@ -216,6 +228,9 @@ public:
         triangle = query.hit.primID;
         return true;
     }
+
+    /// rays::first_hits() of the triangles.
+    void intersect(const int* valid, RTCRayHit8& query) const { first_hits(scene_, valid, query); }
 
     /// Whether anything is met at a distance in [near, far].
     bool occluded(Vec3f origin, Vec3f direction, float near, float far) const

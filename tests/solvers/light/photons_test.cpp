@@ -286,6 +286,59 @@ TEST(Photons, ReachTheZonesUnderARoofAsAnIndependentMonteCarloFound)
     }
 }
 
+TEST(Photons, RaysAskedForTogetherMeetWhatEachMeetsAlone)
+{
+    const TriMesh land = roof::mesh();
+    PhotonScene scene = scene_of(land, 0.5f);
+    constexpr Stream kDraw{"photons_test.rays"};
+    std::vector<Sphere> moss;
+    for (std::uint64_t i = 0; i < 60; ++i)
+        moss.push_back(
+            {{float(2 * uniform01(1, kDraw, i, 0)), float(-2 * uniform01(1, kDraw, i, 1)),
+              float(1.5 * uniform01(1, kDraw, i, 2))},
+             0.08f});
+    for (const std::size_t count : {0u, 1u, 7u, 1003u}) {
+        scene.set_moss(count == 7 ? std::vector<Sphere>{} : moss);
+        std::vector<PhotonScene::Ray> rays;
+        for (std::uint64_t i = 0; i < count; ++i)
+            rays.push_back(
+                {{float(2 * uniform01(2, kDraw, i, 0)), -1, 0.7f},
+                 Vec3f(cosine_direction(Frame(Vec3d(0, -1, 0)), uniform01(2, kDraw, i, 1),
+                                        uniform01(2, kDraw, i, 2)))});
+        std::vector<PhotonScene::Hit> together(count);
+        scene.intersect(rays, together);
+        std::size_t met = 0;
+        for (std::size_t i = 0; i < count; ++i) {
+            PhotonScene::Hit alone;
+            const bool meets = scene.intersect(rays[i].origin, rays[i].direction, alone);
+            met += meets;
+            ASSERT_EQ(meets, std::isfinite(together[i].distance)) << i;
+            if (!meets) continue;
+            EXPECT_EQ(together[i].distance, alone.distance);
+            EXPECT_EQ(together[i].target, alone.target);
+            EXPECT_EQ(together[i].on_moss, alone.on_moss);
+            EXPECT_EQ(together[i].back, alone.back);
+            EXPECT_EQ(together[i].normal, alone.normal);
+        }
+        if (count > 100) {
+            EXPECT_GT(met, count / 8);
+            EXPECT_LT(met, count);
+        }
+    }
+}
+
+TEST(Photons, ThatNoMachineCouldHoldAreRefused)
+{
+    // In a closed box 20 hits a photon: 2 TB.
+    const std::vector<float> white(12, 0.95f);
+    TriMesh inside = shapes::box({0, 0, 0}, {1, 1, 1});
+    inside.triangles.resize(10);
+    const PhotonScene jar(inside, std::span(white).first(10), 0.2, 0, {});
+    EXPECT_THAT([&] { shoot(jar, overhead(), {.photons = 1'000'000'000}, 7, 1, {}); },
+                ThrowsMessage<LimitExceeded>(testing::AllOf(
+                    HasSubstr("photons = 1e+09"), HasSubstr("stored, which needs about"))));
+}
+
 TEST(Photons, AreSpreadAtRandom)
 {
     // Of 8192 photons 5 % are expected in a disc: their number varies by sqrt(0.95 / (8192 0.05)).
