@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/clones.h"
 #include "core/error.h"
 #include "core/mesh_sites.h"
 #include "core/parallel.h"
@@ -51,6 +52,127 @@ void check_places(std::span<const Vec3f> position, std::span<const Vec3f> normal
     }
 }
 
+/// An order of places that keeps neighbours together.
+std::vector<std::uint32_t> neighbourly(std::span<const Vec3f> places)
+{
+    const KdTree tree(places);
+    std::vector<std::uint32_t> order(places.size());
+    for (std::size_t i = 0; i < order.size(); ++i) order[i] = tree.points()[i].index;
+    return order;
+}
+
+/// Something that counts for the places near it: a photon, or a patch of land.
+struct Counted {
+    Vec3f at, normal;
+    float weight;
+};
+/// A few places side by side.
+constexpr std::size_t kLanes = 8;
+using Floats = float __attribute__((vector_size(kLanes * sizeof(float))));
+using Ints = std::int32_t __attribute__((vector_size(kLanes * sizeof(std::int32_t))));
+using HalfDoubles = double __attribute__((vector_size(kLanes / 2 * sizeof(double))));
+struct Lanes {
+    Floats x, y, z, nx, ny, nz;
+};
+struct LaneSums {
+    HalfDoubles low{}, high{};
+    Ints count{};
+
+    double sum(std::size_t k) const { return k < kLanes / 2 ? low[k] : high[k - kLanes / 2]; }
+};
+
+/// sum += weight W for all that lies within the radius, on the same side and within the slab: for
+/// each place the same operations in the same order as for it alone.
+SEKITEI_CLONES
+void add_up(const Counted* list, std::size_t size, const Lanes& lanes, float radius, float half,
+            LaneSums& sums)
+{
+    const float r2 = radius * radius, per_radius = 1 / radius;
+    const Lanes l = lanes;
+    LaneSums s = sums;
+    for (std::size_t i = 0; i < size; ++i) {
+        const Counted c = list[i];
+        const Floats x = c.at.x - l.x, y = c.at.y - l.y, z = c.at.z - l.z;
+        const Floats d2 = x * x + y * y + z * z;
+        const Floats along = x * l.nx + y * l.ny + z * l.nz;
+        const Floats facing = c.normal.x * l.nx + c.normal.y * l.ny + c.normal.z * l.nz;
+        const Ints counts = (d2 <= r2) & (facing >= kSameSide) & (along <= half) & (along >= -half);
+        Floats d;
+        for (std::size_t k = 0; k < kLanes; ++k) d[k] = std::sqrt(d2[k]);
+        const Floats w = c.weight * (1 - d * per_radius);
+        const auto kept = reinterpret_cast<Floats>(reinterpret_cast<Ints>(w) & counts);
+        s.low +=
+            __builtin_convertvector(__builtin_shufflevector(kept, kept, 0, 1, 2, 3), HalfDoubles);
+        s.high +=
+            __builtin_convertvector(__builtin_shufflevector(kept, kept, 4, 5, 6, 7), HalfDoubles);
+        s.count -= counts;
+    }
+    sums = s;
+}
+
+/// Sums over what counts for places, kinds apart: neighbours share one look into the search.
+/// @param order    of the places, neighbourly()
+/// @param counted  Counted(slot), and kind(slot) < Kinds
+/// @param put      put(place, sum of each kind, count)
+template <std::size_t Kinds, class Search, class CountedAt, class KindOf, class Put>
+void sum_around(const Search& search, std::span<const Vec3f> position,
+                std::span<const Vec3f> normal, std::span<const std::uint32_t> order, float radius,
+                float half, const CountedAt& counted, const KindOf& kind, const Put& put,
+                const Progress& progress)
+{
+    constexpr std::size_t kGroup = 64;
+    parallel_for((order.size() + kGroup - 1) / kGroup, [&](std::size_t group) {
+        if (group % 64 == 0) progress.check();
+        std::array<std::vector<Counted>, Kinds> lists;
+        auto work = [&](auto& self, std::size_t begin, std::size_t end) -> void {
+            Bounds box;
+            for (std::size_t i = begin; i < end; ++i) box.add(Vec3d(position[order[i]]));
+            const Vec3f centre(box.centre());
+            float far2 = 0;
+            for (std::size_t i = begin; i < end; ++i)
+                far2 = std::max(far2, squared_distance(centre, position[order[i]]));
+            // Sharing saves most where places are dense beside the radius; where they lie far
+            // apart, each looks for itself.
+            const float far = std::sqrt(far2);
+            const std::size_t size = end - begin;
+            if (size > 1 && far > (size > kLanes ? radius / 8 : radius / 2)) {
+                const std::size_t half_way =
+                    size > kLanes ? (size / 2 + kLanes - 1) / kLanes * kLanes : size / 2;
+                self(self, begin, begin + half_way);
+                self(self, begin + half_way, end);
+                return;
+            }
+            for (auto& list : lists) list.clear();
+            search.within_slots(centre, (radius + far) * (1 + 1e-5f), [&](std::size_t slot, float) {
+                lists[kind(slot)].push_back(counted(slot));
+            });
+            for (std::size_t first = begin; first < end; first += kLanes) {
+                const std::size_t lanes = std::min(kLanes, end - first);
+                Lanes at;
+                for (std::size_t k = 0; k < kLanes; ++k) {
+                    const std::uint32_t place = order[first + std::min(k, lanes - 1)];
+                    const Vec3f p = position[place], n = normal[place];
+                    at.x[k] = p.x, at.y[k] = p.y, at.z[k] = p.z;
+                    at.nx[k] = n.x, at.ny[k] = n.y, at.nz[k] = n.z;
+                }
+                std::array<LaneSums, Kinds> sums;
+                for (std::size_t j = 0; j < Kinds; ++j)
+                    add_up(lists[j].data(), lists[j].size(), at, radius, half, sums[j]);
+                for (std::size_t k = 0; k < lanes; ++k) {
+                    std::array<double, Kinds> sum;
+                    std::int32_t count = 0;
+                    for (std::size_t j = 0; j < Kinds; ++j) {
+                        sum[j] = sums[j].sum(k);
+                        count += sums[j].count[k];
+                    }
+                    put(order[first + k], sum, count);
+                }
+            }
+        };
+        work(work, group * kGroup, std::min(order.size(), (group + 1) * kGroup));
+    });
+}
+
 std::int32_t plant_of(const Receivers& receivers, std::size_t i)
 {
     return receivers.plant.empty() ? -1 : receivers.plant[i];
@@ -80,7 +202,8 @@ SiteKernel::SiteKernel(std::span<const Vec3f> position, std::span<const Vec3f> n
     for (const NumberedPoint& p : slots_of(whole_.search))
         whole_.of_slot.push_back({normal[p.index], area[p.index]});
     if (triangles) cut(*triangles, params);
-    own_area_ = kernel_area(position, normal);
+    order_ = neighbourly(position);
+    own_area_ = kernel_area(position, normal, order_);
     if (params.photon_estimator != PhotonEstimator::Site) return;
 
     // Scale until equal light on all sites comes out equal: c_i sum_j a_j c_j W_ij = 1.
@@ -170,10 +293,30 @@ float SiteKernel::kernel_area(Vec3f at, Vec3f normal, float radius) const
 std::vector<float> SiteKernel::kernel_area(std::span<const Vec3f> at,
                                            std::span<const Vec3f> normal) const
 {
+    return kernel_area(at, normal, neighbourly(at));
+}
+
+std::vector<float> SiteKernel::kernel_area(std::span<const Vec3f> at, std::span<const Vec3f> normal,
+                                           std::span<const std::uint32_t> order) const
+{
     std::vector<float> areas(at.size());
-    parallel_for(
-        at.size(), [&](std::size_t i) { areas[i] = kernel_area(at[i], normal[i], radius_); },
-        kGrain);
+    const Patches& patches = cut_.of_slot.empty() ? whole_ : cut_;
+    std::visit(
+        [&](const auto& search) {
+            const NumberedPoint* points = search.points().data();
+            sum_around<1>(
+                search, at, normal, order, radius_, slab(radius_),
+                [&](std::size_t slot) {
+                    const Patch& patch = patches.of_slot[slot];
+                    return Counted{points[slot].at, patch.normal, patch.area};
+                },
+                [](std::size_t) { return 0u; },
+                [&](std::size_t place, const std::array<double, 1>& sum, std::int32_t) {
+                    areas[place] = static_cast<float>(sum[0]);
+                },
+                {});
+        },
+        patches.search);
     return areas;
 }
 
@@ -265,48 +408,68 @@ PhotonMap::PhotonMap(std::span<const Photon> photons, const MossHosts& moss,
         search_);
 }
 
-Irradiance PhotonMap::estimate(const Receivers& receivers, const Progress& progress) const
+Irradiance PhotonMap::estimate(const Receivers& receivers, std::span<const std::uint32_t> order,
+                               const Progress& progress) const
 {
     const std::size_t n = receivers.size();
     Irradiance result;
     for (auto* part : {&result.beam, &result.sky, &result.indirect}) part->resize(n);
     result.photons.resize(n);
+    auto put = [&](std::size_t i, float area, const std::array<double, 3>& sum,
+                   std::int32_t count) {
+        if (!(area > 0)) return;
+        result.beam[i] = static_cast<float>(sum[0] / area);
+        result.sky[i] = static_cast<float>(sum[1] / area);
+        result.indirect[i] = static_cast<float>(sum[2] / area);
+        result.photons[i] = count;
+    };
+    auto by_radius = [&](const auto& search) {
+        const NumberedPoint* points = search.points().data();
+        const auto radius = static_cast<float>(params_.photon_radius);
+        sum_around<3>(
+            search, receivers.position, receivers.normal, order, radius, sites_.slab(radius),
+            [&](std::size_t slot) {
+                return Counted{points[slot].at, arrivals_[slot].normal, arrivals_[slot].flux};
+            },
+            [&](std::size_t slot) { return beam_or_[slot]; },
+            [&](std::size_t i, const std::array<double, 3>& sum, std::int32_t count) {
+                put(i, receivers.kernel_area[i], sum, count);
+            },
+            progress);
+    };
+    auto by_nearest = [&](const auto& search) {
+        const NumberedPoint* points = search.points().data();
+        parallel_for_range(
+            n,
+            [&](std::size_t begin, std::size_t end) {
+                progress.check();
+                for (std::size_t i = begin; i < end; ++i) {
+                    const Vec3f at = receivers.position[i], normal = receivers.normal[i];
+                    const float radius = std::max(
+                        kNearestLeast,
+                        search.distance_to_nearest(at, params_.photon_nearest, kNearestMost));
+                    const float half = sites_.slab(radius), per_radius = 1 / radius;
+                    std::array<double, 3> sum{};
+                    std::int32_t count = 0;
+                    search.within_slots(at, radius, [&](std::size_t slot, float d2) {
+                        const Arrival& p = arrivals_[slot];
+                        if (dot(p.normal, normal) < kSameSide ||
+                            std::abs(dot(points[slot].at - at, normal)) > half)
+                            return;
+                        sum[beam_or_[slot]] += p.flux * (1 - std::sqrt(d2) * per_radius);
+                        ++count;
+                    });
+                    put(i, sites_.kernel_area(at, normal, radius), sum, count);
+                }
+            },
+            kGrain);
+    };
     std::visit(
         [&](const auto& search) {
-            const auto& points = search.points();
-            parallel_for_range(
-                n,
-                [&](std::size_t begin, std::size_t end) {
-                    progress.check();
-                    for (std::size_t i = begin; i < end; ++i) {
-                        const Vec3f at = receivers.position[i], normal = receivers.normal[i];
-                        auto radius = static_cast<float>(params_.photon_radius);
-                        float area = receivers.kernel_area[i];
-                        if (params_.photon_nearest > 0) {
-                            radius = std::max(kNearestLeast,
-                                              search.distance_to_nearest(at, params_.photon_nearest,
-                                                                         kNearestMost));
-                            area = sites_.kernel_area(at, normal, radius);
-                        }
-                        const float half = sites_.slab(radius), per_radius = 1 / radius;
-                        std::array<double, 3> sum{};
-                        std::int32_t count = 0;
-                        search.within_slots(at, radius, [&](std::size_t slot, float d2) {
-                            const Arrival& p = arrivals_[slot];
-                            if (dot(p.normal, normal) < kSameSide ||
-                                std::abs(dot(points[slot].at - at, normal)) > half)
-                                return;
-                            sum[beam_or_[slot]] += p.flux * (1 - std::sqrt(d2) * per_radius);
-                            ++count;
-                        });
-                        if (!(area > 0)) continue;
-                        result.beam[i] = static_cast<float>(sum[0] / area);
-                        result.sky[i] = static_cast<float>(sum[1] / area);
-                        result.indirect[i] = static_cast<float>(sum[2] / area);
-                        result.photons[i] = count;
-                    }
-                },
-                kGrain);
+            if (params_.photon_nearest > 0)
+                by_nearest(search);
+            else
+                by_radius(search);
         },
         search_);
     return result;
@@ -324,14 +487,16 @@ Irradiance PhotonMap::by_site(const Progress& progress) const
 Irradiance PhotonMap::at_sites(const Progress& progress) const
 {
     if (params_.photon_estimator == PhotonEstimator::Site) return by_site(progress);
-    return estimate({sites_.position(), sites_.normal(), sites_.kernel_area(), {}}, progress);
+    return estimate({sites_.position(), sites_.normal(), sites_.kernel_area(), {}}, sites_.order(),
+                    progress);
 }
 
 Irradiance PhotonMap::at(const Receivers& receivers, const Irradiance& at_sites,
                          const Progress& progress) const
 {
     check_places(receivers.position, receivers.normal, receivers.kernel_area, "receiver");
-    if (params_.photon_estimator == PhotonEstimator::Kernel) return estimate(receivers, progress);
+    if (params_.photon_estimator == PhotonEstimator::Kernel)
+        return estimate(receivers, neighbourly(receivers.position), progress);
     const std::size_t n = receivers.size();
     Irradiance result;
     for (auto* part : {&result.beam, &result.sky, &result.indirect}) part->resize(n);

@@ -49,6 +49,8 @@ public:
     std::vector<float> kernel_area(std::span<const Vec3f> at, std::span<const Vec3f> normal) const;
     /// The same for the sites themselves; computed at construction.
     const std::vector<float>& kernel_area() const { return own_area_; }
+    /// All sites, neighbours together.
+    const std::vector<std::uint32_t>& order() const { return order_; }
 
     /// Spreads what fell on each site over its neighbourhood [W -> W/m^2]: S_i = c_i sum_j W_ij e_j
     /// flux_j with weights such that sum_i a_i S_i = sum_j flux_j, and that equal light stays
@@ -72,6 +74,8 @@ private:
     template <class F>
     void around(const Patches& patches, Vec3f at, Vec3f normal, float radius, F&& f) const;
     void cut(const TriMesh& triangles, const PhotonParams& params);
+    std::vector<float> kernel_area(std::span<const Vec3f> at, std::span<const Vec3f> normal,
+                                   std::span<const std::uint32_t> order) const;
     /// Calls f(site, W) for the sites that a site shares light with.
     template <class F>
     void partners(std::size_t site, F&& f) const;
@@ -83,6 +87,7 @@ private:
     Patches whole_;  // the sites
     Patches cut_;    // the same, none long beside the radius; empty where they are so already
     std::vector<float> own_area_;
+    std::vector<std::uint32_t> order_;
     std::vector<double> receive_, send_;  // c and e of spread()
 };
 
@@ -137,7 +142,8 @@ private:
         Vec3f normal;
         float flux;
     };
-    Irradiance estimate(const Receivers& receivers, const Progress& progress) const;
+    Irradiance estimate(const Receivers& receivers, std::span<const std::uint32_t> order,
+                        const Progress& progress) const;
     Irradiance by_site(const Progress& progress) const;
 
     const SiteKernel& sites_;
