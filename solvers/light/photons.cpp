@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/clones.h"
 #include "core/error.h"
 #include "core/log.h"
 #include "core/math.h"
@@ -120,7 +121,39 @@ struct Sun {
     }
 };
 
-/// Makes photon i of a day.
+/// Rays of a source far away, many side by side: what they start from, and they themselves.
+struct FarRays {
+    static constexpr std::size_t kMost = 128;
+    template <class T>
+    using Row = std::array<T, kMost>;
+    Row<double> x, y, z;         ///< towards the middle of the source
+    Row<double> u, v;            ///< where in the source
+    Row<double> across, around;  ///< where on the disc that covers the scene
+    Row<float> origin_x, origin_y, origin_z, direction_x, direction_y, direction_z;
+};
+
+/// Enters through the disc that covers the scene, along a direction out of the source's cap.
+SEKITEI_CLONES
+void enter_through_disc(FarRays& rays, double cap, Vec3d centre, double radius)
+{
+    for (std::size_t i = 0; i < FarRays::kMost; ++i) {
+        const Vec3d direction = -cap_direction(Frame(Vec3d(rays.x[i], rays.y[i], rays.z[i])), cap,
+                                               rays.u[i], rays.v[i]);
+        const Frame frame(direction);
+        const Turn turn(rays.around[i]);
+        const double off = radius * std::sqrt(rays.across[i]);
+        const Vec3d origin = centre - direction * (2 * radius) + frame.a * (off * turn.cosine) +
+                             frame.b * (off * turn.sine);
+        rays.origin_x[i] = static_cast<float>(origin.x);
+        rays.origin_y[i] = static_cast<float>(origin.y);
+        rays.origin_z[i] = static_cast<float>(origin.z);
+        rays.direction_x[i] = static_cast<float>(direction.x);
+        rays.direction_y[i] = static_cast<float>(direction.y);
+        rays.direction_z[i] = static_cast<float>(direction.z);
+    }
+}
+
+/// Makes the photons of a day.
 class Emitter {
 public:
     Emitter(const PhotonScene& scene, const Daylight& day, const PhotonParams& params,
@@ -167,44 +200,42 @@ public:
     {
         return static_cast<float>(lamp_power_ / static_cast<double>(tries));
     }
-    /// Photon i, those of the sun first; counts directions drawn. Photons of a square lamp have no
-    /// flux yet.
-    Emitted operator()(std::uint64_t i, std::uint64_t& tries) const
+    /// Photons begin .. end, those of the sun first; counts directions drawn. Photons of a square
+    /// lamp have no flux yet.
+    void operator()(std::size_t begin, std::size_t end, Emitted* out, std::uint64_t& tries) const
     {
-        if (i >= suns_) return from_sky(sky_draws_[i - suns_]);
-        const auto draw = sun_draws_[i];
-        if (kind_ == SunLight::Square) return from_lamp(draw, tries);
-        ++tries;
-        return kind_ == SunLight::Parallel ? straight(draw) : aimed(draw);
+        FarRays rays{};
+        while (begin < end) {
+            if (begin < suns_ && kind_ != SunLight::Parallel) {
+                *out++ = kind_ == SunLight::Square ? from_lamp(sun_draws_[begin], tries)
+                                                   : aimed(sun_draws_[begin]);
+                if (kind_ == SunLight::SquareCone) ++tries;
+                ++begin;
+                continue;
+            }
+            const bool sun = begin < suns_;
+            const std::size_t count =
+                std::min(FarRays::kMost, (sun ? std::min<std::size_t>(end, suns_) : end) - begin);
+            for (std::size_t i = 0; i < count; ++i) {
+                const auto draw = sun ? sun_draws_[begin + i] : sky_draws_[begin + i - suns_];
+                const Vec3d n = sun ? sun_.draw(draw(0)).n : Vec3d(0, 0, 1);
+                rays.x[i] = n.x, rays.y[i] = n.y, rays.z[i] = n.z;
+                rays.u[i] = draw(sun), rays.v[i] = draw(sun + 1u);
+                rays.across[i] = draw(sun + 2u), rays.around[i] = draw(sun + 3u);
+            }
+            static const double sun_cap = cap_of_cone(kSunRadius);
+            enter_through_disc(rays, sun ? sun_cap : 1, centre_, radius_);
+            for (std::size_t i = 0; i < count; ++i)
+                *out++ = {{rays.origin_x[i], rays.origin_y[i], rays.origin_z[i]},
+                          {rays.direction_x[i], rays.direction_y[i], rays.direction_z[i]},
+                          sun ? sun_flux_ : sky_flux_,
+                          sun ? Source::Sun : Source::Sky};
+            if (sun) tries += count;
+            begin += count;
+        }
     }
 
 private:
-    /// Enters along `direction` through the disc that covers the scene.
-    Emitted through_disc(Vec3d direction, double u, double v) const
-    {
-        const Frame frame(direction);
-        const Turn turn(v);
-        const double off = radius_ * std::sqrt(u);
-        const Vec3d origin = centre_ - direction * (2 * radius_) + frame.a * (off * turn.cosine) +
-                             frame.b * (off * turn.sine);
-        return {Vec3f(origin), Vec3f(direction), 0, Source::Sun};
-    }
-    Emitted straight(const Draws::OfPhoton& draw) const
-    {
-        static const double cap = cap_of_cone(kSunRadius);
-        const Vec3d towards = cap_direction(sun_.draw(draw(0)), cap, draw(1), draw(2));
-        Emitted photon = through_disc(-towards, draw(3), draw(4));
-        photon.flux = sun_flux_;
-        return photon;
-    }
-    Emitted from_sky(const Draws::OfPhoton& draw) const
-    {
-        const Vec3d towards = cap_direction(Frame(Vec3d(0, 0, 1)), 1, draw(0), draw(1));
-        Emitted photon = through_disc(-towards, draw(2), draw(3));
-        photon.flux = sky_flux_;
-        photon.source = Source::Sky;
-        return photon;
-    }
     Vec3d on_lamp(const Frame& frame, double u, double v) const
     {
         return centre_ - frame.n * square_.distance + frame.a * (square_.half * (2 * u - 1)) +
@@ -278,7 +309,7 @@ void add(Ledger& all, const Ledger& part)
 /// Photons of one chunk on their way, all by one bounce at a time: rays are asked for together.
 class Chunk {
 public:
-    /// Makes photons begin .. end with source(i, tries) and follows them.
+    /// Makes photons begin .. end with source(begin, end, out, tries) and follows them.
     template <class Sourced, class MayMeet>
     void run(const PhotonScene& scene, std::size_t begin, std::size_t end, const Sourced& source,
              const MayMeet& may_meet, bool indirect, const Draws& draws)
@@ -288,7 +319,7 @@ public:
         path_.clear();
         const std::size_t count = end - begin;
         // Made side by side first: they do not wait for one another.
-        for (std::size_t i = 0; i < count; ++i) photons_[i] = source(begin + i, ledger_.tries);
+        source(begin, end, photons_.data(), ledger_.tries);
         std::size_t alive = 0;
         for (std::size_t i = 0; i < count; ++i) {
             const Emitted& photon = photons_[i];
@@ -402,7 +433,7 @@ void check_memory(double photons, const std::string& what, double bytes)
             photons, what, bytes_text(bytes), bytes_text(there)));
 }
 
-/// Follows photons source(i, tries) for i < count.
+/// Follows `count` photons; source(begin, end, out, tries) makes them.
 template <class Sourced>
 Shot follow_all(const PhotonScene& scene, std::size_t count, const Sourced& source, bool indirect,
                 std::uint64_t seed, std::uint64_t day, const Progress& progress)
@@ -459,7 +490,7 @@ std::vector<Emitted> emit_all(const Emitter& emitter, std::uint64_t& tries)
         photons.size(), kChunk, std::uint64_t{0},
         [&](std::size_t begin, std::size_t end) {
             std::uint64_t drawn = 0;
-            for (std::size_t i = begin; i < end; ++i) photons[i] = emitter(i, drawn);
+            emitter(begin, end, &photons[begin], drawn);
             return drawn;
         },
         [](std::uint64_t a, std::uint64_t b) { return a + b; });
@@ -727,7 +758,10 @@ std::vector<Emitted> emit(const PhotonScene& scene, const Daylight& daylight,
 Shot trace(const PhotonScene& scene, std::span<const Emitted> emitted, bool indirect,
            std::uint64_t seed, std::uint64_t day, const Progress& progress)
 {
-    auto source = [&](std::size_t i, std::uint64_t&) { return emitted[i]; };
+    auto source = [&](std::size_t begin, std::size_t end, Emitted* out, std::uint64_t&) {
+        std::copy(emitted.begin() + static_cast<std::ptrdiff_t>(begin),
+                  emitted.begin() + static_cast<std::ptrdiff_t>(end), out);
+    };
     return follow_all(scene, emitted.size(), source, indirect, seed, day, progress);
 }
 
