@@ -186,6 +186,7 @@ std::uint32_t heaviest_corner(const TriMesh& mesh, const SurfacePoint& p)
 
 Material ColourLook::surface(const SurfacePoint& p) const
 {
+    if (p.triangle >= first_bright_) return {Vec3f(0), p.normal, 1, 0, {}, colours_[p.triangle]};
     if (!per_vertex_) return {colours_[p.triangle], p.normal, 1, 0};
     const auto& t = mesh_.triangles[p.triangle];
     return {colours_[t[0]] * (1 - p.u - p.v) + colours_[t[1]] * p.u + colours_[t[2]] * p.v,

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
@@ -24,6 +25,7 @@ struct Material {
     float roughness = 1;   ///< square root of GGX alpha
     float specular = 0;    ///< 0: matt only; 1: reflects 4 % head on
     Vec3f transmit{0.0f};  ///< albedo of a thin leaf for light from behind; zero: opaque
+    Vec3f glow{0.0f};      ///< light of its own, for the camera alone
 };
 
 /// Materials for a mesh and the ground under it.
@@ -48,9 +50,16 @@ private:
 /// Colours given for each triangle corner or each triangle.
 class ColourLook : public Look {
 public:
-    /// @param colours  one a vertex (interpolated), or one a triangle
-    ColourLook(const TriMesh& mesh, std::vector<Vec3f> colours, bool per_vertex, Vec3f ground)
-        : mesh_(mesh), colours_(std::move(colours)), per_vertex_(per_vertex), ground_(ground)
+    /// @param colours       one a vertex (interpolated), or one a triangle
+    /// @param first_bright  triangles from here on shine by themselves and scatter nothing; theirs
+    ///                      are colours of triangles
+    ColourLook(const TriMesh& mesh, std::vector<Vec3f> colours, bool per_vertex, Vec3f ground,
+               std::size_t first_bright = SIZE_MAX)
+        : mesh_(mesh),
+          colours_(std::move(colours)),
+          per_vertex_(per_vertex),
+          ground_(ground),
+          first_bright_(first_bright)
     {
     }
     Material surface(const SurfacePoint& p) const override;
@@ -61,6 +70,7 @@ private:
     std::vector<Vec3f> colours_;
     bool per_vertex_;
     Vec3f ground_;
+    std::size_t first_bright_;
 };
 
 /// Basalt. `column` gives each column a colour, shine and grain of its own, `surface` its history

@@ -182,7 +182,8 @@ public:
             const Scatter scatter(material,
                                   {local_out.x, local_out.y, std::max(0.01f, local_out.z)});
             if (depth == 0) {
-                out.albedo = material.albedo;
+                out.radiance = material.glow;
+                out.albedo = material.albedo + material.glow;
                 out.normal = material.normal;
                 out.depth = distance;
             }

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <memory>
 
@@ -179,28 +180,49 @@ Film film_of(const World& world, const Params& params, std::uint64_t seed, const
 
 /// Values of one attribute of the points, checked; null where there are none.
 template <class T>
-const std::vector<T>* moss_attribute_if(const Points& moss, const char* name, const char* type)
+const std::vector<T>* attribute_if(const Points& points, const char* what, const char* name,
+                                   const char* type)
 {
-    const auto found = moss.attributes.find(name);
-    if (found == moss.attributes.end()) return nullptr;
+    const auto found = points.attributes.find(name);
+    if (found == points.attributes.end()) return nullptr;
     const auto* values = std::get_if<std::vector<T>>(&found->second);
     if (!values)
-        throw InvalidInput(
-            fmt::format("render: attribute {} of moss is of another type, must be {}", name, type));
-    if (values->size() != moss.position.size())
-        throw InvalidInput(fmt::format("render: attribute {} of moss has {} values, must have {}",
-                                       name, values->size(), moss.position.size()));
+        throw InvalidInput(fmt::format("render: attribute {} of {} is of another type, must be {}",
+                                       name, what, type));
+    if (values->size() != points.position.size())
+        throw InvalidInput(fmt::format("render: attribute {} of {} has {} values, must have {}",
+                                       name, what, values->size(), points.position.size()));
     return values;
 }
 
 template <class T>
-const std::vector<T>& moss_attribute(const Points& moss, const char* name, const char* type)
+const std::vector<T>& attribute(const Points& points, const char* what, const char* name,
+                                const char* type)
 {
-    const auto* values = moss_attribute_if<T>(moss, name, type);
+    const auto* values = attribute_if<T>(points, what, name, type);
     if (!values)
-        throw InvalidInput(fmt::format("render: points of moss have no attribute {}", name));
+        throw InvalidInput(fmt::format("render: points of {} have no attribute {}", what, name));
     return *values;
 }
+
+/// Light from everywhere and a large soft sun over the camera's left shoulder: shape without drama.
+Sky soft_light(const Params& params)
+{
+    Sky sky = Sky::uniform(0.72f, true);
+    sky.set_sun(direction_of(params.view_azimuth - 50, 50), 12 * kDegree, Vec3f(1.1f));
+    return sky;
+}
+
+/// Photons by the number of their reflections.
+struct PhotonKind {
+    const char* name;
+    Vec3f colour;
+};
+constexpr std::array<PhotonKind, 3> kPhotonKinds{{
+    {"direct", {1.0f, 0.90f, 0.42f}},
+    {"reflected once", {1.0f, 0.32f, 0.04f}},
+    {"reflected again", {0.85f, 0.035f, 0.06f}},
+}};
 
 }  // namespace
 
@@ -233,8 +255,7 @@ Image8 run(const TriMesh& mesh, const Params& params, std::uint64_t seed, const 
     Sky sky;
     std::unique_ptr<Look> look;
     if (shown) {
-        sky = Sky::uniform(0.72f, true);
-        sky.set_sun(direction_of(params.view_azimuth - 50, 50), 12 * kDegree, Vec3f(1.1f));
+        sky = soft_light(params);
         look = std::make_unique<ColourLook>(mesh, shown->colours, shown->per_vertex, Vec3f(0.8f));
         ground.reset();
     } else {
@@ -282,13 +303,13 @@ Image8 run(const TriMesh& mesh, const Params& params, std::uint64_t seed, const 
 
 std::vector<Tuft> tufts_of(const Points& moss)
 {
-    const auto& orient = moss_attribute<std::array<float, 4>>(moss, "orient", "four floats");
-    const auto& scale = moss_attribute<float>(moss, "pscale", "float");
-    const auto& species = moss_attribute<std::int32_t>(moss, "species", "int32");
-    const auto* growth = moss_attribute_if<float>(moss, "growth", "float");
-    const auto* wetness = moss_attribute_if<float>(moss, "wetness", "float");
-    const auto* age = moss_attribute_if<std::int32_t>(moss, "age", "int32");
-    const auto* id = moss_attribute_if<std::int64_t>(moss, "id", "int64");
+    const auto& orient = attribute<std::array<float, 4>>(moss, "moss", "orient", "four floats");
+    const auto& scale = attribute<float>(moss, "moss", "pscale", "float");
+    const auto& species = attribute<std::int32_t>(moss, "moss", "species", "int32");
+    const auto* growth = attribute_if<float>(moss, "moss", "growth", "float");
+    const auto* wetness = attribute_if<float>(moss, "moss", "wetness", "float");
+    const auto* age = attribute_if<std::int32_t>(moss, "moss", "age", "int32");
+    const auto* id = attribute_if<std::int64_t>(moss, "moss", "id", "int64");
     std::vector<Tuft> tufts(moss.position.size());
     for (std::size_t i = 0; i < tufts.size(); ++i) {
         Tuft& t = tufts[i];
@@ -351,6 +372,89 @@ Image8 run(const Stuff& stuff, const Params& params, std::uint64_t seed, const P
                 bytes_text(static_cast<double>(rays.memory_bytes() + tufts.memory_bytes())));
     if (params.denoise) denoise(film, progress.slice(0.95, 0.99));
     const Image8 image = develop_day(film, sky, params, seed);
+    progress.update(1);
+    return image;
+}
+
+std::vector<PhotonDot> photons_of(const Points& photons)
+{
+    const auto& normal = attribute<Vec3f>(photons, "photons", "N", "vector");
+    const auto& bounce = attribute<std::int32_t>(photons, "photons", "bounce", "int32");
+    std::vector<PhotonDot> dots(photons.position.size());
+    for (std::size_t i = 0; i < dots.size(); ++i)
+        dots[i] = {photons.position[i], normal[i], bounce[i]};
+    return dots;
+}
+
+double photon_dot_size(const TriMesh& mesh)
+{
+    return std::max(length(used_bounds(mesh).size()) / 240, 1e-6);
+}
+
+Image8 run(const TriMesh& mesh, const std::vector<PhotonDot>& photons, double size,
+           const Params& params, std::uint64_t seed, const Progress& progress)
+{
+    validate(params);
+    if (!(size > 0 && size < 1e6))
+        throw InvalidParameter(fmt::format("render: photon_size = {} m, must be > 0", size));
+    progress.update(0);
+
+    // The surface, then a flat hexagon for each photon, hardly above it.
+    TriMesh all = joined({{&mesh, Substance::Rock}});
+    const std::size_t first_dot = all.triangles.size();
+    std::vector<Vec3f> colours(first_dot, Vec3f(0.075f, 0.082f, 0.095f));
+    std::array<bool, kPhotonKinds.size()> there{};
+    for (std::size_t i = 0; i < photons.size(); ++i) {
+        if (i % 4096 == 0) progress.check();
+        const PhotonDot& photon = photons[i];
+        const Vec3d n = normalized(Vec3d(photon.normal));
+        if (!std::isfinite(dot(photon.position, photon.position)) || !(dot(n, n) > 0.5))
+            throw InvalidInput(
+                fmt::format("render: photon {} has no finite place or no normal", i));
+        const Vec3d u = normalized(std::abs(n.z) < 0.9 ? cross(n, Vec3d(0, 0, 1))
+                                                       : cross(n, Vec3d(1, 0, 0))),
+                    v = cross(n, u), centre = photon.position + n * (0.04 * size);
+        const auto corner = static_cast<std::uint32_t>(all.vertices.size());
+        for (int k = 0; k < 6; ++k) {
+            const double turn = k * math::kPi / 3;
+            all.vertices.emplace_back(centre +
+                                      (u * math::cos(turn) + v * math::sin(turn)) * (size / 2));
+        }
+        const auto kind = static_cast<std::size_t>(std::clamp(photon.bounce, 0, 2));
+        there[kind] = true;
+        for (std::uint32_t k = 1; k < 5; ++k) {
+            all.triangles.push_back({corner, corner + k, corner + k + 1});
+            colours.push_back(kPhotonKinds[kind].colour);
+        }
+    }
+
+    const rays::TriangleScene rays(all.vertices, all.triangles, "render", progress);
+    const std::vector<Vec3f> normals = corner_normals(all, kCrease, progress);
+    const ColourLook look(all, std::move(colours), false, Vec3f(0.075f), first_dot);
+    const Sky sky = soft_light(params);
+    const World world{.mesh = all,
+                      .rays = rays,
+                      .normals = normals,
+                      .look = look,
+                      .sky = sky,
+                      .camera = make_camera(params, shown_bounds(mesh, params)),
+                      .ground = {},
+                      .haze = INFINITY,
+                      .hills = false,
+                      .backdrop = Vec3f(0.012f)};
+    Film film = film_of(world, params, seed, progress);
+    if (params.denoise) denoise(film, progress.slice(0.95, 0.99));
+    const float stops = stops_of(params);
+    Image8 image = develop(film, seed, [&](Vec3f c) { return c * stops; });
+    const int scale = std::max(1, params.height / 300), margin = 10 * scale;
+    int line = margin;
+    for (std::size_t kind = 0; kind < kPhotonKinds.size(); ++kind) {
+        if (!there[kind]) continue;
+        const Vec3d c(kPhotonKinds[kind].colour);
+        draw_text(image, margin, line, kPhotonKinds[kind].name, scale,
+                  {srgb_byte(c.x), srgb_byte(c.y), srgb_byte(c.z)});
+        line += (kGlyphHeight + 2) * scale;
+    }
     progress.update(1);
     return image;
 }

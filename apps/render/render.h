@@ -124,6 +124,27 @@ std::vector<Tuft> tufts_of(const Points& moss);
 /// @throws InvalidInput  no triangles, indices or plants out of range; InvalidParameter  moss_size
 Image8 run(const Stuff& stuff, const Params& params, std::uint64_t seed, const Progress& progress);
 
+/// Where a photon was stored.
+struct PhotonDot {
+    Vec3d position;           ///< world [m]
+    Vec3f normal;             ///< of the surface, on the side it came from
+    std::int32_t bounce = 0;  ///< reflections before
+};
+
+/// Photons of points with the attributes `N` (vector) and `bounce` (int32).
+/// @throws InvalidInput  an attribute is missing, of another type or of another length
+std::vector<PhotonDot> photons_of(const Points& photons);
+
+/// Diameter of a dot where none is given: a 240th of the surface [m].
+double photon_dot_size(const TriMesh& mesh);
+
+/// A photon map: the surface, dark and in soft light, with a bright dot for each photon. First hits
+/// are pale yellow, those after one reflection orange, later ones red; a legend says so.
+/// @param size  diameter of a dot [m]
+/// @throws InvalidInput  no triangles, a photon that is not finite; InvalidParameter  size
+Image8 run(const TriMesh& mesh, const std::vector<PhotonDot>& photons, double size,
+           const Params& params, std::uint64_t seed, const Progress& progress);
+
 struct SliceParams {
     std::string grid;  ///< name of the grid to show
     std::string axis = "x";

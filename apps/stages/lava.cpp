@@ -11,13 +11,6 @@
 namespace sekitei::apps {
 namespace {
 
-/// Which axis of a mesh file points to the sky.
-enum class UpAxis { Z, Y };
-constexpr std::array<std::string_view, 2> choice_names(UpAxis)
-{
-    return {"z", "y"};
-}
-
 /// How a file is read, beside the solver's own parameters.
 struct FileForm {
     UpAxis mesh_up = UpAxis::Z;
@@ -171,8 +164,7 @@ private:
         if (params_.preset == lava::Preset::Mesh) {
             MeshReadReport report;
             inputs_.mesh = read_mesh(required(params_.mesh, "mesh"), &report);
-            if (form_.mesh_up == UpAxis::Y)
-                for (Vec3f& v : inputs_.mesh->vertices) v = {v.x, -v.z, v.y};
+            raise_up(*inputs_.mesh, form_.mesh_up);
             inputs_.mesh_groups = report.groups;
             log_mesh_report(resolve(context, params_.mesh), report);
         }

@@ -25,6 +25,7 @@ struct LightParams {
     std::string surface;
     std::optional<double> cell;
     std::string debug_photons;
+    bool keep_photons = false;
     std::optional<std::int64_t> days;
     bool repeat_year = false;
 
@@ -39,6 +40,8 @@ struct LightParams {
               "the site of a mesh");
         field("debug_photons", &LightParams::debug_photons,
               "on a mesh: file for all stored photons as points (PLY); empty: none");
+        field("keep_photons", &LightParams::keep_photons,
+              "on a mesh: leave all stored photons in the scene, as points");
         field("days", &LightParams::days, "d", between(1, 1000000),
               "length of the weather to use; auto: to its end");
         field("repeat_year", &LightParams::repeat_year,
@@ -81,6 +84,7 @@ public:
                                   "sky_view", "rain_exposure"})
             names.emplace_back(field);
         if (!choice_.weather.empty()) names.emplace_back("weather");
+        if (params_.keep_photons) names.emplace_back("photons");
         return names;
     }
     std::vector<std::string> needs() override
@@ -138,7 +142,7 @@ public:
     Json run(Scene& scene, const StageContext& context) override
     {
         if (on_mesh()) return run_on_mesh(scene, context);
-        std::vector<std::string> of_meshes{"debug_photons"};
+        std::vector<std::string> of_meshes{"debug_photons", "keep_photons"};
         for (const Param& p : describe_params(ground_)) of_meshes.push_back(p.name);
         for (const Param& p : describe_params(photons_)) of_meshes.push_back(p.name);
         warn_unused(*this, of_meshes, "on cells");
@@ -276,6 +280,7 @@ private:
         if (!weather.days.empty()) scene.points["weather"] = weather_points(weather);
         if (!params_.debug_photons.empty())
             write_file(resolve(context, params_.debug_photons), encode_points(points_of(shot)));
+        if (params_.keep_photons) scene.points["photons"] = points_of(shot);
         const light::Ledger& l = shot.ledger;
         return {{"sites", n},
                 {"area_m2", area},
@@ -293,6 +298,7 @@ private:
     static Points points_of(const light::Shot& shot)
     {
         Points points;
+        points.stage = "light";
         std::vector<Vec3f> direction, normal;
         std::vector<float> flux;
         std::vector<std::int32_t> bounce;

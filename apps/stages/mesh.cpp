@@ -13,6 +13,8 @@ namespace {
 
 struct MeshParams {
     std::filesystem::path file;
+    double scale = 1;
+    UpAxis up = UpAxis::Z;
     std::string grid = "density";
     std::optional<double> iso;
 
@@ -20,6 +22,9 @@ struct MeshParams {
     {
         field("file", &MeshParams::file,
               "mesh to read in place of a scene: PLY, OBJ, STL or OFF; empty: none");
+        field("scale", &MeshParams::scale, "", kPositive, "with file: metres per unit of it");
+        field("up", &MeshParams::up,
+              "with file: axis that points up there; (x, y, z) with y up becomes (x, -z, y)");
         field("grid", &MeshParams::grid, "float grid whose surface is extracted");
         field("iso", &MeshParams::iso, "", kAny,
               "value at the surface; auto: half the largest value, 0 for level sets");
@@ -53,7 +58,10 @@ public:
     void validate() override
     {
         validate_described("mesh", params_);
-        if (!params_.file.empty()) warn_unused(*this, {"grid", "iso"}, "with file");
+        if (!params_.file.empty())
+            warn_unused(*this, {"grid", "iso"}, "with file");
+        else
+            warn_unused(*this, {"scale", "up"}, "without file");
     }
 
     Need estimate(SceneOutline& outline, const StageContext& context) override
@@ -78,6 +86,8 @@ public:
             MeshReadReport report;
             TriMesh mesh = read_mesh(file, &report);
             log_mesh_report(file, report);
+            raise_up(mesh, params_.up);
+            for (Vec3f& v : mesh.vertices) v = Vec3f(Vec3d(v) * params_.scale);
             Json summary = summary_of(mesh);
             scene.meshes["rock"] = std::move(mesh);
             return summary;

@@ -38,12 +38,19 @@ struct SliceChoice {
 struct Scenery {
     bool moss = true;
     std::optional<double> tuft_size;
+    bool photons = true;
+    std::optional<double> photon_size;
 
     static void describe(auto&& field)
     {
         field("moss", &Scenery::moss, "mosses of the scene as plants");
         field("tuft_size", &Scenery::tuft_size, "m", kPositive,
-              "diameter of a full-grown moss; auto: 1.6 surface cells");
+              "diameter of a full-grown moss; auto: 1.6 surface cells, "
+              "1.15 sizes of those on a mesh");
+        field("photons", &Scenery::photons,
+              "where no moss is shown: the photons that the light stage kept, as dots");
+        field("photon_size", &Scenery::photon_size, "m", kPositive,
+              "diameter of a photon's dot; auto: a 240th of the surface");
     }
 };
 
@@ -73,6 +80,7 @@ public:
         if (!choice_.slice.empty()) return {};
         std::vector<std::string> names = scenery_uses();
         if (scenery_.moss) names.push_back("moss");
+        if (scenery_.photons) names.push_back("photons");
         if (!params_.field.empty()) names.push_back(grid_of_field(params_.field));
         return names;
     }
@@ -102,7 +110,7 @@ public:
     {
         const double pixels = double(params_.width) * params_.height;
         const double triangles = 50 * std::pow(std::max(1.0, outline.lava_voxels), 2.0 / 3);
-        return {pixels, memory(choice_.slice.empty() ? triangles : 0), pixels * 3};
+        return {pixels, memory(choice_.slice.empty() ? triangles : 0, 0), pixels * 3};
     }
 
     Json run(Scene& scene, const StageContext& context) override
@@ -115,8 +123,17 @@ public:
             if (mesh == scene.meshes.end())
                 throw InvalidInput(
                     "render: the scene has no mesh; run `sekitei mesh` first or give --slice GRID");
-            check_memory("render", memory(double(mesh->second.triangles.size())),
-                         context.memory_limit);
+            const auto count = [&](bool shown, const char* name) {
+                const auto found = scene.points.find(name);
+                return shown && found != scene.points.end() ? double(found->second.position.size())
+                                                            : 0.0;
+            };
+            const double plants = count(scenery_.moss, "moss"),
+                         dots = plants > 0 ? 0 : count(scenery_.photons, "photons");
+            check_memory(
+                "render",
+                memory(double(mesh->second.triangles.size()) + kTrianglesPerDot * dots, plants),
+                context.memory_limit);
             show(scene, mesh->second, context);
         }
         return {{"width", picture.width}, {"height", picture.height}};
@@ -166,21 +183,29 @@ private:
             if (const std::vector<std::string> names = species_names(scene); !names.empty())
                 stuff.species = names;
             if (climate) stuff.moss_size = 1.6 * scene.floats("surf_area").transform().voxel;
+            // On a mesh plants have a size of their own, and stand closer than that.
             if (const Json* made = params_of(scene, "moss");
                 made && scene.points.contains("sites") && made->contains("size"))
-                stuff.moss_size = 1.6 * (*made)["size"].get<double>();
+                stuff.moss_size = 1.15 * (*made)["size"].get<double>();
             if (scenery_.tuft_size) stuff.moss_size = *scenery_.tuft_size;
+        }
+        if (scenery_.photons && stuff.moss.empty() && scene.points.contains("photons")) {
+            picture = render::run(rock, render::photons_of(scene.points.at("photons")),
+                                  scenery_.photon_size.value_or(render::photon_dot_size(rock)),
+                                  params, context.seed, context.progress);
+            return;
         }
         picture = stuff.pieces.size() == 1 && stuff.moss.empty()
                       ? render::run(rock, params, context.seed, context.progress)
                       : render::run(stuff, params, context.seed, context.progress);
     }
 
-    /// Bytes at the peak: film, mesh, corner normals and Embree's tree.
-    double memory(double triangles) const
+    /// Bytes at the peak: film, mesh, corner normals, plants and Embree's trees.
+    double memory(double triangles, double plants) const
     {
-        return 1e8 + double(params_.width) * params_.height * 60 + triangles * 180;
+        return 1e8 + double(params_.width) * params_.height * 60 + triangles * 180 + plants * 600;
     }
+    static constexpr int kTrianglesPerDot = 4;
 
     render::Params params_;
     Scenery scenery_;

@@ -1,7 +1,9 @@
 #pragma once
 
+#include <array>
 #include <memory>
 #include <string>
+#include <string_view>
 
 #include "apps/stage.h"
 
@@ -10,6 +12,19 @@ namespace sekitei::apps {
 
 /// Points as binary PLY: x y z as doubles, then every attribute.
 std::string encode_points(const Points& points, const Progress& progress = {});
+
+/// Which axis of a mesh file points to the sky.
+enum class UpAxis { Z, Y };
+constexpr std::array<std::string_view, 2> choice_names(UpAxis)
+{
+    return {"z", "y"};
+}
+/// Turns a mesh so that z points up: (x, y, z) with y up becomes (x, -z, y).
+inline void raise_up(TriMesh& mesh, UpAxis up)
+{
+    if (up == UpAxis::Y)
+        for (Vec3f& v : mesh.vertices) v = {v.x, -v.z, v.y};
+}
 
 std::unique_ptr<Stage> make_lava();
 std::unique_ptr<Stage> make_cool();

@@ -582,6 +582,67 @@ TEST(Render, BadInputIsNamed)
                 ThrowsMessage<InvalidParameter>(HasSubstr("samples = 0")));
 }
 
+TEST(Render, PhotonsAreDotsOfTheirOwnLightWhereTheyFellAndShadowsDoNotTouchThem)
+{
+    // A floor seen from right above: x to the right, y up; 5 mm a pixel at its height.
+    TriMesh floor;
+    add_quad(floor, {-1, -1, 0.3f}, {1, -1, 0.3f}, {1, 1, 0.3f}, {-1, 1, 0.3f});
+    Params params;
+    params.width = params.height = 256;
+    params.samples = 4;
+    params.denoise = false;
+    params.eye = Vec3d(0, -0.001, 4.3);
+    params.target = Vec3d(0, 0, 0.3);
+    params.field_of_view = 2 * std::atan(0.64 / 4) * 180 / math::kPi;
+    const std::vector<PhotonDot> photons{{{0.3, 0.2, 0.3}, {0, 0, 1}, 0},
+                                         {{-0.3, 0.2, 0.3}, {0, 0, 1}, 1},
+                                         {{0.3, -0.4, 0.3}, {0, 0, 1}, 5},
+                                         {{-0.3, -0.4, 0.3}, {0, 0, -1}, 0}};  // from below
+    auto shot = [&] { return run(floor, photons, 0.12, params, 1, Progress{}); };
+    const Image8 image = shot();
+    auto at = [&](double x, double y) {
+        const auto column = static_cast<std::size_t>(128 + x / 0.005),
+                   row = static_cast<std::size_t>(128 - y / 0.005);
+        const std::uint8_t* p = image.pixels.data() + (row * 256 + column) * 3;
+        return Vec3d(p[0], p[1], p[2]);
+    };
+    const Vec3d direct = at(0.3, 0.2), once = at(-0.3, 0.2), again = at(0.3, -0.4), bare = at(0, 0);
+    EXPECT_GT(direct.y, 230);
+    EXPECT_NEAR(direct.x, 255, 1);
+    EXPECT_NEAR(once.x, 255, 1);
+    EXPECT_LT(once.y, direct.y - 50);
+    EXPECT_LT(again.y, once.y - 50);
+    EXPECT_GT(again.x, 220);
+    EXPECT_LT(bare.x, 110);
+    EXPECT_NEAR(length(at(-0.3, -0.4) - bare), 0, 15) << "a photon below shines through the floor";
+    // As wide as asked for.
+    EXPECT_LT(length(at(0.3 - 0.04, 0.2) - direct), 3);
+    EXPECT_GT(length(at(0.3 - 0.09, 0.2) - direct), 100);
+
+    const ThreadLimit limit(1);
+    EXPECT_EQ(shot().pixels, image.pixels);
+}
+
+TEST(Render, PhotonsThatCannotBeDrawnAreNamed)
+{
+    Points points;
+    points.position = {{1, 2, 3}, {4, 5, 6}};
+    points.attributes["N"] = std::vector<Vec3f>{{0, 0, 1}, {0, 0, 0}};
+    EXPECT_THAT([&] { photons_of(points); },
+                ThrowsMessage<InvalidInput>("render: points of photons have no attribute bounce"));
+    points.attributes["bounce"] = std::vector<std::int32_t>{0, 1};
+    EXPECT_EQ(photons_of(points).size(), 2u);
+    Params params;
+    params.width = params.height = 16;
+    params.samples = 1;
+    EXPECT_THAT([&] { run(columns(), photons_of(points), 0.1, params, 1, Progress{}); },
+                ThrowsMessage<InvalidInput>("render: photon 1 has no finite place or no normal"));
+    EXPECT_THAT([&] { run(columns(), {}, 0.0, params, 1, Progress{}); },
+                ThrowsMessage<InvalidParameter>("render: photon_size = 0 m, must be > 0"));
+    EXPECT_THAT([&] { run(TriMesh{}, {}, 0.1, params, 1, Progress{}); },
+                ThrowsMessage<InvalidInput>(HasSubstr("the meshes have no triangles")));
+}
+
 TEST(Render, StopsWhenAsked)
 {
     const std::atomic<bool> stop{true};
