@@ -292,10 +292,10 @@ TEST(Photons, RaysAskedForTogetherMeetWhatEachMeetsAlone)
     PhotonScene scene = scene_of(land, 0.5f);
     constexpr Stream kDraw{"photons_test.rays"};
     std::vector<Sphere> moss;
-    for (std::uint64_t i = 0; i < 60; ++i)
+    for (std::uint64_t i = 0; i < 500; ++i)
         moss.push_back(
             {{float(2 * uniform01(1, kDraw, i, 0)), float(-2 * uniform01(1, kDraw, i, 1)),
-              float(1.5 * uniform01(1, kDraw, i, 2))},
+              float(4 * uniform01(1, kDraw, i, 2) - 1)},
              0.08f});
     for (const std::size_t count : {0u, 1u, 7u, 1003u}) {
         scene.set_moss(count == 7 ? std::vector<Sphere>{} : moss);
@@ -325,6 +325,25 @@ TEST(Photons, RaysAskedForTogetherMeetWhatEachMeetsAlone)
             EXPECT_LT(met, count);
         }
     }
+}
+
+TEST(Photons, AreStoredPathByPath)
+{
+    // Each starts with a first hit, and goes on from where it was.
+    const PhotonScene scene = scene_of(roof::mesh(), 0.8f);
+    const Shot shot = shot_of(scene, overhead(90, 60), {.photons = 5000});
+    std::size_t reflected = 0;
+    for (std::size_t k = 0; k < shot.photons.size(); ++k) {
+        const Photon& p = shot.photons[k];
+        if (p.bounce == 0) continue;
+        ASSERT_GT(k, 0u);
+        const Photon& before = shot.photons[k - 1];
+        ASSERT_EQ(p.bounce, before.bounce + 1) << k;
+        const Vec3d way = Vec3d(p.position) - Vec3d(before.position);
+        EXPECT_GT(dot(way, Vec3d(p.direction)), (1 - 1e-3) * length(way) - 1e-4) << k;
+        ++reflected;
+    }
+    EXPECT_GT(reflected, 200u);
 }
 
 TEST(Photons, ThatNoMachineCouldHoldAreRefused)
