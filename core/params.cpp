@@ -257,7 +257,9 @@ double number_from(const Param& p, const Json& value)
     if (value.is_number()) return checked(p, value.get<double>());
     if (!value.is_string()) reject(p, value, p.type_text());
     try {
-        return checked(p, parse_quantity(value.get<std::string>(), p.unit));
+        const auto& text = value.get_ref<const std::string&>();
+        const bool count = p.kind == Param::Kind::Integer && p.unit.empty();
+        return checked(p, count ? parse_count(text) : parse_quantity(text, p.unit));
     } catch (const InvalidParameter& error) {
         const std::string why = error.what();
         if (why.starts_with(p.name)) throw;

@@ -92,6 +92,21 @@ double parse_quantity(std::string_view text, std::string_view unit)
                     unit.empty() ? "a plain number or %" : "one of: " + accepted_units(unit)));
 }
 
+double parse_count(std::string_view text)
+{
+    std::string_view suffix;
+    const double value = leading_number(text, suffix);
+    const double factor = suffix == "k" || suffix == "K" ? 1e3
+                          : suffix == "M"                ? 1e6
+                          : suffix == "G"                ? 1e9
+                                                         : 0;
+    if (factor == 0) return parse_quantity(text, "");
+    // 2.3 * 1e6 is not quite a whole number, 2.3M is.
+    const double count = value * factor, whole = std::round(count);
+    if (!std::isfinite(count)) throw InvalidParameter(fmt::format("'{}' is too large", text));
+    return std::abs(count - whole) <= 1e-12 * std::abs(whole) ? whole : count;
+}
+
 std::string quantity_text(double value, std::string_view unit)
 {
     return unit.empty() ? fmt::format("{}", value) : fmt::format("{} {}", value, unit);

@@ -12,6 +12,11 @@ namespace sekitei {
 /// @throws InvalidParameter  no number, a unit of another dimension, trailing text, NaN or infinity
 double parse_quantity(std::string_view text, std::string_view unit);
 
+/// Reads a count: "20k" is 20000, "1.5M" 1500000, "1G" a thousand million; else as parse_quantity()
+/// without a unit.
+/// @throws InvalidParameter
+double parse_count(std::string_view text);
+
 /// "0.02 m"; the shortest text that reads back as the same number.
 std::string quantity_text(double value, std::string_view unit);
 

@@ -103,6 +103,21 @@ TEST_F(ParamsTest, EveryKindTakesAWordOfTheCommandLine)
     EXPECT_FALSE(sample.voxel || sample.joint_cut || sample.lit);
 }
 
+TEST_F(ParamsTest, CountsWithoutUnitTakeThousandsAndMillions)
+{
+    at("steps").set_text("0.05k");
+    EXPECT_EQ(sample.steps, 50);
+    at("seed").set(Json("20k"));
+    EXPECT_EQ(sample.seed, 20'000u);
+    at("seed").set_text("2.3M");
+    EXPECT_EQ(sample.seed, 2'300'000u);
+    expect_refused("steps", "1k", "steps = 1000, must be 0 to 100");
+    expect_refused("steps", "0.0001k", "steps = 0.0001k");
+    expect_refused("tiny", "1k", "tiny = 1k");
+    expect_refused("share", "1k", "unit 'k'");  // no count
+    expect_refused("spacing", "1k", "unit 'k'");
+}
+
 TEST_F(ParamsTest, JsonBringsEveryValueBack)
 {
     at("voxel").set(0.1);

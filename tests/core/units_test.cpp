@@ -76,6 +76,17 @@ TEST(Units, BytesTakeDecimalAndBinaryMultiples)
             << text;
 }
 
+TEST(Units, CountsTakeThousandsAndMillions)
+{
+    const std::pair<const char*, double> good[] = {
+        {"20k", 20e3},  {"20K", 20e3}, {"2M", 2e6},    {"1.5M", 1.5e6}, {"2.3M", 2.3e6},
+        {"1.1k", 1100}, {"1G", 1e9},   {"8192", 8192}, {"-2k", -2000},  {" 3 k ", 3000},
+        {"50%", 0.5},   {"0.5k", 500}, {"1e3k", 1e6}};
+    for (const auto& [text, count] : good) EXPECT_EQ(parse_count(text), count) << text;
+    for (const char* text : {"", "k", "2kM", "2 kk", "2m", "2cm", "2kB", "1e300G", "nan k"})
+        EXPECT_THROW(parse_count(text), InvalidParameter) << text;
+}
+
 TEST(ErrorText, BytesAndCountsRoundToTheRightWord)
 {
     EXPECT_EQ(bytes_text(0), "0 B");
