@@ -153,11 +153,8 @@ void put_sites(Scene& scene, const MeshSites& sites, const TriMesh& was,
 {
     TriMesh mesh = sites.mesh;
     Points points;
-    for (const auto& [name, values] : was.face_attributes) {
+    for (const auto& [name, values] : was.face_attributes)
         mesh.face_attributes[name] = carried(values, sites.face);
-        std::visit([&](const auto& list) { points.attributes[name] = list; },
-                   mesh.face_attributes[name]);
-    }
     for (const Vec3f p : sites.position) points.position.emplace_back(p);
     points.attributes = {{"N", sites.normal},
                          {"area", sites.area},
@@ -185,9 +182,11 @@ void put_cells(Scene& scene, const MeshSites& sites, const std::vector<SiteField
                               scene.floats("surf_area"), progress.slice(0, 0.5));
     } else {
         const Bounds bounds = sites.mesh.bounds();
-        FloatGrid level_set = level_set_from_mesh(
-            sites.mesh, Transform{bounds.lower - Vec3d(3 * cell), cell}, progress.slice(0, 0.4));
+        FloatGrid level_set;
         try {
+            level_set =
+                level_set_from_mesh(sites.mesh, Transform{bounds.lower - Vec3d(3 * cell), cell},
+                                    progress.slice(0, 0.4));
             cells = surface_cells(level_set, progress.slice(0.4, 0.5));
         } catch (const InvalidInput&) {
             log::warning("{}: the mesh encloses nothing at voxels of {:.3g} m: no grids", stage,

@@ -85,10 +85,10 @@ void check_frames(const ParamList& params, const Common& common)
 }
 
 /// Refuses now what could not be written later.
-void check_outputs(Stage& stage, const Common& common)
+/// @param mesh  whether its result may be a mesh
+void check_outputs(Stage& stage, const Common& common, bool mesh)
 {
     const StageInfo& info = stage.info();
-    const bool mesh = makes_mesh(stage);
     if (common.output.empty())
         throw InvalidParameter(fmt::format(
             "{}: say where the result goes with -o FILE (or -o - for standard output)", info.name));
@@ -230,7 +230,9 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common,
         // As a stage that read it, so that the scene can be made again from its history.
         const auto reader = make_stage("mesh");
         find_param(reader->params(), "file")->set(name);
-        scene.history.push_back(history_of(*reader, {}));
+        StageContext context;
+        context.seed = common.seed;
+        scene.history.push_back(history_of(*reader, context));
         return scene;
     }
     if (stage.info().reads_mesh && speaks_of_mesh(name)) {
@@ -325,7 +327,9 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
                 fmt::format("{} --{}: {}", name, option_name(param), error.what()));
         }
     }
-    if (stage->info().reads_mesh && !inputs.empty())
+    // What standard input brings is known only once it is read.
+    const bool unknown = stage->info().reads_mesh && !inputs.empty() && inputs.front() == "-";
+    if (stage->info().reads_mesh && !inputs.empty() && !unknown)
         stage->meets_mesh(is_mesh_name(inputs.front()) || speaks_of_mesh(inputs.front()));
     stage->validate();
     if (inputs.empty() && stage->reads_scene())
@@ -337,7 +341,7 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
     if (inputs.size() > 1 && !stage->info().reads_many)
         throw InvalidParameter(
             fmt::format("{}: reads one scene, but '{}' was given as well", name, inputs[1]));
-    check_outputs(*stage, common);
+    check_outputs(*stage, common, unknown || makes_mesh(*stage));
     check_frames(params, common);
 
     StageContext context;
@@ -354,8 +358,10 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
                 read_input(*stage, input, common, context.progress.named("reading")));
     else if (!inputs.empty())
         scene = read_input(*stage, inputs.front(), common, context.progress.named("reading"));
-    if (!inputs.empty() && inputs.front() == "-" && stage->info().reads_mesh)
+    if (unknown) {
         stage->meets_mesh(scene.meshes.contains("rock"));
+        check_outputs(*stage, common, makes_mesh(*stage));
+    }
     for (const fs::path& target : targets_of(*stage, common))
         if (target != "-")
             remove_stale_temporaries(target.has_parent_path() ? target.parent_path() : ".");

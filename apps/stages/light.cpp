@@ -118,14 +118,12 @@ public:
         validate_described("light", ground_);
         if (!params_.days) warn_unused(*this, {"repeat_year"}, "without days");
         if (light_.bounces == 0) warn_unused(*this, {"links", "albedo"}, "with bounces = 0");
-        if (choice_.weather.empty() && !on_mesh())
-            throw InvalidParameter(
-                "light: weather: which? give a JMA daily CSV, an EPW, monthly normals or a CSV "
-                "with units in its header; data/weather has some");
+        if (mesh_given_ || !params_.surface.empty()) require_weather();
     }
 
     void check_files(const StageContext& context) override
     {
+        require_weather();
         if (!choice_.weather.empty()) days(context);
     }
 
@@ -142,6 +140,7 @@ public:
     Json run(Scene& scene, const StageContext& context) override
     {
         if (on_mesh()) return run_on_mesh(scene, context);
+        require_weather();
         std::vector<std::string> of_meshes{"debug_photons", "keep_photons"};
         for (const Param& p : describe_params(ground_)) of_meshes.push_back(p.name);
         for (const Param& p : describe_params(photons_)) of_meshes.push_back(p.name);
@@ -227,7 +226,16 @@ public:
 private:
     bool on_mesh() const
     {
-        return params_.surface.empty() ? mesh_given_ : params_.surface == "mesh";
+        return params_.surface.empty() ? mesh_given_.value_or(false) : params_.surface == "mesh";
+    }
+
+    /// Cells need one. Whether there are cells may be known only when the input is read.
+    void require_weather() const
+    {
+        if (choice_.weather.empty() && !on_mesh())
+            throw InvalidParameter(
+                "light: weather: which? give a JMA daily CSV, an EPW, monthly normals or a CSV "
+                "with units in its header; data/weather has some");
     }
 
     /// Photons of all days at once: their mean light.
@@ -393,7 +401,7 @@ private:
     light::Params light_;
     PhotonGround ground_;
     light::PhotonParams photons_;
-    bool mesh_given_ = false;
+    std::optional<bool> mesh_given_;  ///< unknown until told
 };
 
 }  // namespace
