@@ -1,0 +1,440 @@
+"""Light and moss on meshes: files beside files, pipes, recipes, and meshes that are broken, huge or odd."""
+
+import datetime
+import json
+import re
+import struct
+import unittest
+
+import foreign
+from support import BAD_INPUT, DATA, LIMIT, USAGE, CliTest, bash, files_in
+
+LIGHT = ["--site", "10cm", "--photons", "20k"]
+MOSS = ["--days", "12", "--site", "10cm", "--photons", "4k", "--open-light", "25", "--initial-count", "20", "--soil", "humus"]
+PICTURE = ["--width", "64", "--height", "48", "--samples", "2", "--bounces", "1"]
+
+RECIPE = """\
+sekitei = 1
+seed = 1
+out = "out"
+
+[rock]
+stage = "mesh"
+file = "rock.ply"
+
+[moss]
+days = 12
+site = "10cm"
+photons = "4k"
+open_light = 25
+initial_count = 20
+soil = "humus"
+write = ["moss.vdb", "moss.ply"]
+
+[numbers]
+stage = "statistics"
+from = "moss"
+write = "moss.csv"
+"""
+
+
+def slab(scale=1.0):
+    return foreign.box((0, 0, -0.2 * scale), (0.6 * scale, 0.4 * scale, 0))
+
+
+def header(content):
+    return content.split(b"end_header\n")[0].decode()
+
+
+def points(content):
+    """How many vertices a PLY file has."""
+    return int(re.search(r"element vertex (\d+)", header(content))[1])
+
+
+def year(day, latitude, count=3):
+    """A weather file of a few clear days from a day on."""
+    lines = [f"# latitude = {latitude} deg", "# longitude = 20 deg",
+             "date,temperature [C],humidity [%],precipitation [mm],wind_speed [m/s],wind_direction [deg],global [W/m^2],diffuse [W/m^2]"]
+    for d in range(count):
+        lines.append(f"{day + datetime.timedelta(d)},2,85,1,2,180,{0 if latitude > 80 else 120},{0 if latitude > 80 else 40}")
+    return "\n".join(lines) + "\n"
+
+
+def changed(options, changes):
+    """Options of which some are given anew."""
+    words = dict(zip(options[::2], options[1::2]))
+    kept = [w for name, value in words.items() if name not in changes for w in (name, value)]
+    return [*kept, *changes]
+
+
+class MeshTest(CliTest):
+    def setUp(self):
+        super().setUp()
+        self.rock = self.mesh("rock.ply", *slab())
+
+    def mesh(self, name, vertices, faces, form="binary_little_endian"):
+        return self.write(name, foreign.ply(vertices, faces, form))
+
+    def light(self, path, *options):
+        return self.succeed("light", path, *changed(LIGHT, options))
+
+    def moss(self, path, *options):
+        return self.succeed("moss", path, *changed(MOSS, options))
+
+    def grow(self):
+        self.moss("rock.ply", "-o", "moss.vdb", "-q")
+
+
+class Files(MeshTest):
+    def test_a_scene_and_its_mesh_lie_side_by_side(self):
+        self.light("rock.ply", "-o", "light.vdb")
+        info = self.succeed("info", "light.vdb", "--json").json()[0]
+        grids = {g["name"]: g for g in info["grids"]}
+        for name in ("light_S", "light_direct", "light_sky", "light_indirect", "sky_view", "rain_exposure", "surface_sdf", "sites"):
+            self.assertIn(name, grids)
+        text = header((self.folder / "light.ply").read_bytes())
+        for name in ("light_S", "light_direct", "light_indirect", "sky_view"):
+            self.assertIn(f"property float {name}", text)
+        self.light("rock.ply", "-o", "alone.ply")
+        self.assertFalse((self.folder / "alone.vdb").exists())
+        self.assertSameBytes(self.folder / "alone.ply", self.folder / "light.ply")
+        self.grow()
+        text = header((self.folder / "moss.ply").read_bytes())
+        for name in ("soil_theta", "soil_beta", "soil_Ts", "soil_rh", "soil_E", "soil_h", "soil_water", "moss_cover", "geology"):
+            self.assertRegex(text, rf"property \w+ {name}\n")
+        for made in ("light.vdb", "moss.vdb"):
+            self.succeed("verify", made)
+
+    def test_photons_and_mosses_as_points(self):
+        done = self.light("rock.ply", "-o", "light.ply", "--debug-photons", "photons.ply", "--json")
+        content = (self.folder / "photons.ply").read_bytes()
+        self.assertEqual(points(content), done.json()["summary"]["stored"])
+        self.assertRegex(header(content), r"property \w+ flux\n")
+        self.assertRegex(header(content), r"property \w+ bounce\n")
+        done = self.moss("rock.ply", "-o", "moss.ply", "--points", "plants.ply", "--json")
+        living = sum(int(done.json()["summary"][s].split()[0]) for s in ("bryum", "hypnum", "polytrichum"))
+        content = (self.folder / "plants.ply").read_bytes()
+        self.assertEqual(points(content), living)
+        self.assertGreater(living, 10)
+        for name in ("species", "growth", "growth_max", "age", "id", "host", "S", "suit", "interior", "wetness", "pscale"):
+            self.assertRegex(header(content), rf"property \w+ {name}\n")
+        self.moss("rock.ply", "-o", "scene.vdb")
+        self.succeed("export", "scene.vdb", "-o", "exported.ply")
+        self.assertSameBytes(self.folder / "exported.ply", content)
+
+    def test_counts_take_thousands_and_millions(self):
+        wanted = self.light("rock.ply", "-o", "a.ply", "--json").json()["summary"]["photons"]
+        self.assertEqual(wanted, 20000)
+        self.succeed("light", "rock.ply", "--site", "10cm", "--photons", "20000", "-o", "b.ply")
+        self.assertSameBytes(self.folder / "a.ply", self.folder / "b.ply")
+        self.refuse(USAGE, ["photons", "20m"], "light", "rock.ply", "--photons", "20m", "-o", "x.ply")
+        self.refuse(USAGE, ["photons"], "light", "rock.ply", "--photons", "1.5", "-o", "x.ply")
+
+    def test_nothing_that_is_there_is_replaced_unasked(self):
+        for there, command in (("light.ply", ["light", "rock.ply", *LIGHT, "-o", "light.vdb"]),
+                               ("light.vdb", ["light", "rock.ply", *LIGHT, "-o", "light.vdb"]),
+                               ("p.ply", ["light", "rock.ply", *LIGHT, "-o", "light.ply", "--debug-photons", "p.ply"]),
+                               ("p.ply", ["moss", "rock.ply", *MOSS, "-o", "moss.vdb", "--points", "p.ply"]),
+                               ("moss.ply", ["moss", "rock.ply", *MOSS, "-o", "moss.vdb"]),
+                               ("rock.ply", ["light", "rock.ply", *LIGHT, "-o", "rock.vdb"])):
+            with self.subTest(there=there, command=command[0]):
+                if there != "rock.ply":
+                    self.write(there, "mine")
+                self.refuse(USAGE, [there, "--force"], *command)
+                if there != "rock.ply":
+                    self.succeed(*command, "--force")
+                for path in self.folder.iterdir():
+                    if path.name != "rock.ply":
+                        path.unlink()
+        self.refuse(USAGE, ["twice"], "light", "rock.ply", *LIGHT, "-o", "x.ply", "--debug-photons", "x.ply")
+        self.refuse(USAGE, ["twice"], "moss", "rock.ply", *MOSS, "-o", "x.vdb", "--points", "x.ply")
+        self.refuse(4, ["none"], "light", "rock.ply", *LIGHT, "-o", "x.ply", "--debug-photons", "none/p.ply")
+
+    def test_a_scene_without_its_mesh_is_told_of(self):
+        self.light("rock.ply", "-o", "light.vdb")
+        self.moss("light.vdb", "-o", "moss.vdb", "-q")
+        (self.folder / "light.ply").unlink()
+        self.refuse(BAD_INPUT, ["light.vdb", "light.ply"], "moss", "light.vdb", *MOSS, "-o", "x.vdb")
+        self.succeed("explain", "light.vdb", "--face", "0")  # what needs no mesh goes on
+
+    def test_pipes_carry_the_mesh(self):
+        self.light("rock.ply", "-o", "light.ply")
+        done = self.succeed("light", "-", *LIGHT, "-o", "-", data=self.rock.read_bytes())
+        self.assertSameBytes(done.out, self.folder / "light.ply", "light through a pipe")
+        self.moss("light.ply", "-o", "moss.ply")
+        chain = bash(f"set -o pipefail; \"$SEKITEI\" light rock.ply {' '.join(LIGHT)} -q -o - | "
+                     f"\"$SEKITEI\" moss - {' '.join(MOSS)} -q -o - > piped.ply", self.folder)
+        self.assertEqual(chain.code, 0, chain)
+        self.assertSameBytes(self.folder / "piped.ply", self.folder / "moss.ply", "two commands")
+        self.refuse(BAD_INPUT, ["standard input"], "light", "-", *LIGHT, "-o", "x.ply", data=self.rock.read_bytes()[:300])
+        self.refuse(BAD_INPUT, ["standard input", "empty"], "light", "-", *LIGHT, "-o", "x.ply", data=b"")
+
+    def test_explain_tells_of_a_face(self):
+        self.grow()
+        json_of = lambda *where: self.succeed("explain", "moss.vdb", *where, "--json").json()
+        face = json_of("--face", "7")
+        self.assertIn("light_S", face)
+        self.assertIn("mosses", face)
+        at = json_of("--at", ",".join(map(str, face["site_m"])))
+        self.assertEqual(at["site_m"], face["site_m"])
+        self.assertEqual(at["light_S"], face["light_S"])
+        count = points((self.folder / "moss.ply").read_bytes())
+        self.assertGreater(count, 8)
+        text = self.succeed("explain", "moss.vdb", "--face", "7").out.decode()
+        self.assertIn("face 7", text)
+        self.refuse(USAGE, ["100000000", "faces"], "explain", "moss.vdb", "--face", "100000000")
+        self.refuse(USAGE, ["--at", "--face"], "explain", "moss.vdb", "--face", "7", "--at", "0,0,0")
+        self.refuse(USAGE, ["--at", "--face"], "explain", "moss.vdb")
+        self.refuse(USAGE, ["face"], "explain", "moss.vdb", "--face", "-1")
+        self.refuse(USAGE, ["face"], "explain", "moss.vdb", "--face", "seven")
+
+    def test_the_result_can_be_drawn(self):
+        self.grow()
+        for source in ("moss.vdb", "moss.ply"):
+            self.succeed("render", source, "-o", "x.png", "--force", *PICTURE)
+        self.succeed("render", "moss.vdb", "--field", "light_S", "-o", "light.png", *PICTURE)
+
+    def test_the_seed_and_threads(self):
+        for name, options in (("one", ["--threads", 1]), ("two", ["--threads", 2]), ("other", ["--seed", 2])):
+            self.moss("rock.ply", "-o", f"{name}.vdb", *options)
+        for suffix in ("vdb", "ply"):
+            self.assertSameBytes(self.folder / f"one.{suffix}", self.folder / f"two.{suffix}", "threads")
+        self.assertNotEqual((self.folder / "one.vdb").read_bytes(), (self.folder / "other.vdb").read_bytes())
+
+    def test_replay_makes_the_same_files_again(self):
+        self.grow()
+        self.write("again.toml", self.succeed("replay", "moss.vdb").out)
+        self.succeed("run", "again.toml", "-q", "--set", "out=again")
+        self.assertSameBytes(self.folder / "again/moss.vdb", self.folder / "moss.vdb", "replay")
+
+    def test_weather_of_a_place(self):
+        self.write("days.csv", year(datetime.date(2021, 6, 20), 40))
+        self.light("rock.ply", "--weather", "days.csv", "-o", "light.vdb")
+        self.moss("light.vdb", "--days", "3", "-o", "moss.vdb")
+        self.moss("rock.ply", "--weather", "days.csv", "--days", "3", "-o", "direct.vdb")
+        self.refuse(USAGE, ["days", "repeat"], "moss", "rock.ply", *MOSS, "--weather", "days.csv", "-o", "x.vdb")
+        self.refuse(USAGE, ["latitude"], "light", "rock.ply", "--weather", "days.csv", "--latitude", "91", "-o", "x.vdb")
+
+
+class Recipes(MeshTest):
+    def states(self, *options):
+        summary = self.succeed("run", "moss.toml", "--json", "-q", *options).json()
+        return {s["name"]: s["state"] for s in summary["stages"]}
+
+    def test_a_second_run_finds_everything(self):
+        self.recipe(RECIPE, "moss.toml")
+        self.assertEqual(set(self.states().values()), {"run"})
+        first = files_in(self.folder / "out")
+        self.assertEqual({"moss.vdb", "moss.ply", "moss.csv", "manifest.json"}, set(first))
+        self.assertNotIn("run", self.states().values())
+        self.assertSameFiles(files_in(self.folder / "out"), first, "a second run")
+        self.succeed("verify", "out/manifest.json")
+        # What a hand does is what the recipe does.
+        self.grow()
+        for name in ("moss.vdb", "moss.ply"):
+            self.assertSameBytes(self.folder / name, first[name], f"{name} by hand")
+        # Another mesh is another run.
+        self.mesh("rock.ply", *foreign.box((0, 0, -0.2), (0.6, 0.5, 0)))
+        self.assertEqual(self.states()["moss"], "run")
+
+    def test_a_kept_mesh_that_is_damaged_or_gone_is_made_again(self):
+        self.recipe(RECIPE, "moss.toml")
+        self.states()
+        first = files_in(self.folder / "out")
+        for damage in (lambda b: b[:-40] + b"\1" * 40, lambda b: b[:len(b) // 2], lambda b: b"", None):
+            kept = next((self.folder / "out/.sekitei").glob("moss-*.ply"))
+            if damage:
+                kept.write_bytes(damage(kept.read_bytes()))
+            else:
+                kept.unlink()
+            self.assertEqual(self.states()["moss"], "run")
+            self.assertSameFiles(files_in(self.folder / "out"), first, "made again")
+
+    def test_light_needs_no_weather_on_a_mesh(self):
+        text = 'sekitei = 1\nout = "out"\n[rock]\nstage = "mesh"\nfile = "rock.ply"\n[light]\nsite = "10cm"\nphotons = "20k"\nwrite = "light.ply"\n'
+        self.recipe(text, "light.toml")
+        self.succeed("check", "light.toml")
+        self.succeed("run", "light.toml", "-q")
+        self.light("rock.ply", "-o", "light.ply")
+        self.assertSameBytes(self.folder / "out/light.ply", self.folder / "light.ply", "by hand")
+        # Cells do.
+        self.recipe('sekitei = 1\n[lantern]\n[light]\nwrite = "light.vdb"\n', "cells.toml")
+        for command in ("check", "run"):
+            self.refuse(USAGE, ["cells.toml:3", "weather"], command, "cells.toml")
+
+    def test_side_files_have_no_place_in_recipes(self):
+        self.recipe(RECIPE.replace("days = 12", 'days = 12\npoints = "plants.ply"'), "moss.toml")
+        self.refuse(USAGE, ["moss.toml:", "plants.ply", "export"], "run", "moss.toml")
+        self.refuse(USAGE, ["moss.toml:", "plants.ply", "export"], "check", "moss.toml")
+        self.recipe('sekitei = 1\nout = "out"\n[rock]\nstage = "mesh"\nfile = "rock.ply"\n[light]\ndebug_photons = "p.ply"\n', "light.toml")
+        self.refuse(USAGE, ["light.toml:", "p.ply"], "run", "light.toml")
+
+    def test_mistakes_are_told_before_anything_runs(self):
+        for was, now, words in (('file = "rock.ply"', 'file = "none.ply"', ["none.ply"]), ("days = 12", "days = 0", ["days"]),
+                                ("photons = \"4k\"", "photons = 0", ["photons"]), ('site = "10cm"', 'site = "0cm"', ["site"]),
+                                ("open_light = 25", "open_light = -1", ["open_light"]), ("days = 12", "dais = 12", ["dais", "days"]),
+                                ("days = 12", "sun = \"pth\"", ["pth", "path"])):
+            self.recipe(RECIPE.replace(was, now), "moss.toml")
+            done = self.run_in_folder("check", "moss.toml")
+            self.assertIn(done.code, (USAGE, BAD_INPUT), done)
+            for word in ("moss.toml:", *words):
+                self.assertIn(word, done.err)
+        self.assertFalse((self.folder / "out").exists())
+
+
+class Broken(MeshTest):
+    """Rows 17 to 30 of the battery, each beside a good twin."""
+
+    def both(self, code, words, path, *options):
+        """Both commands refuse a mesh."""
+        self.refuse(code, words, "light", path, "-o", "x.vdb", *changed(LIGHT, options))
+        self.refuse(code, words, "moss", path, "-o", "x.vdb", *changed(MOSS, options))
+
+    def fine(self, path, *options):
+        """Both commands take it; what light says."""
+        self.moss(path, "-o", "good_moss.vdb", "--force", "-q", *options)
+        return self.light(path, "-o", "good.vdb", "--force", "--json", *options)
+
+    def sites(self, done):
+        return done.json()["summary"]["sites"]
+
+    def test_00_the_good_twin(self):
+        for form in ("ascii", "binary_little_endian", "binary_big_endian"):
+            self.assertEqual(self.sites(self.fine(self.mesh("good.ply", *slab(), form))), self.sites(self.fine("rock.ply")))
+
+    def test_17_holes(self):
+        v, f = foreign.torus(centre=(0, 0, 0.3))
+        whole = self.sites(self.fine(self.mesh("whole.ply", v, f)))
+        done = self.fine(self.mesh("holes.ply", v, f[:40] + f[42:300] + f[302:]))
+        self.assertGreater(self.sites(done), 0.9 * whole)
+
+    def test_17_a_single_sheet_has_light_but_no_cells(self):
+        v = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+        done = self.fine(self.mesh("sheet.ply", v, [(0, 1, 2), (0, 2, 3)]))
+        self.assertIn("warning", done.err)
+        self.assertIn("encloses nothing", done.err)
+
+    def test_18_not_a_manifold(self):
+        v, f = slab()
+        self.fine(self.mesh("fin.ply", v + [[0.3, 0.2, 0.3]], [*f, (4, 7, 8)]))
+
+    def test_19_no_area_and_double_vertices(self):
+        v, f = slab()
+        done = self.fine(self.mesh("dirty.ply", [*v, v[0], v[5]], [*f, (0, 0, 1), (0, 8, 3), (5, 9, 5)]))
+        self.assertEqual(self.sites(done), self.sites(self.fine("rock.ply")))
+        self.assertRegex(done.err, r"3 .*area")
+
+    def test_20_indices_out_of_range(self):
+        v, f = slab()
+        for bad in ((0, 1, 8), (0, -1, 2)):
+            self.both(BAD_INPUT, ["bad.ply", str([i for i in bad if not 0 <= i < 8][0])], self.mesh("bad.ply", v, [*f[:5], bad, *f[6:]], "ascii"))
+
+    def test_21_no_numbers(self):
+        v, f = slab()
+        for value in (float("nan"), float("inf")):
+            bad = [list(x) for x in v]
+            bad[3][1] = value
+            self.both(BAD_INPUT, ["nan.ply"], self.mesh("nan.ply", bad, f))
+
+    def test_22_turned_faces(self):
+        v, f = slab()
+        wanted = self.light("rock.ply", "-o", "wanted.ply", "--json").json()["summary"]["mean_light"]
+        for faces in ([t[::-1] for t in f], [t[::-1] if i % 3 == 0 else t for i, t in enumerate(f)]):
+            done = self.fine(self.mesh("turned.ply", v, faces))
+            self.assertIn("warning", done.err)
+            self.assertAlmostEqual(done.json()["summary"]["mean_light"], wanted, delta=0.02 * wanted)
+
+    def test_23_crossing_itself(self):
+        v, f = slab()
+        w, g = foreign.box((0.3, 0.2, -0.1), (0.8, 0.6, 0.2))
+        self.fine(self.mesh("crossing.ply", v + w, f + [tuple(i + 8 for i in t) for t in g]))
+
+    def test_24_no_faces_one_face_or_points(self):
+        v, f = slab()
+        self.both(BAD_INPUT, ["none.ply"], self.mesh("none.ply", v, []))
+        self.fine(self.mesh("one.ply", v, f[10:11]))
+        dots = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n1 1 1\n"
+        self.both(BAD_INPUT, ["points.ply"], self.write("points.ply", dots))
+        for name in ("empty.ply", "empty.obj", "empty.stl", "empty.off"):
+            self.both(BAD_INPUT, [name], self.write(name, b""))
+        self.both(BAD_INPUT, ["gone.ply"], "gone.ply")
+
+    def test_25_headers_that_promise_too_much(self):
+        v, f = slab()
+        for form in ("ascii", "binary_little_endian"):
+            good = foreign.ply(v, f, form)
+            self.both(BAD_INPUT, ["huge.ply"], self.write("huge.ply", good.replace(b"element vertex 8", b"element vertex 1000000000000")))
+            self.both(BAD_INPUT, ["huge.ply"], self.write("huge.ply", good.replace(b"element face 12", b"element face 99999999999")))
+
+    def test_26_27_flavours(self):
+        v, f = slab()
+        wanted = self.sites(self.fine("rock.ply"))
+        text = foreign.ply(v, f)
+        self.assertEqual(self.sites(self.fine(self.write("crlf.ply", text.replace(b"\n", b"\r\n")))), wanted)
+        quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+        self.assertEqual(self.sites(self.fine(self.mesh("quads.ply", v, quads, "ascii"))), wanted)
+        obj = "".join(f"v {x} {y} {z}\n" for x, y, z in v) + "\n".join("f " + " ".join(str(i - 8) for i in q) for q in quads)
+        self.assertEqual(self.sites(self.fine(self.write("quads.obj", obj))), wanted)
+        hexagon = [[0.3, 0, 0], [0.15, 0.26, 0], [-0.15, 0.26, 0], [-0.3, 0, 0], [-0.15, -0.26, 0], [0.15, -0.26, 0]]
+        self.fine(self.mesh("hexagon.ply", hexagon, [(0, 1, 2, 3, 4, 5)], "ascii"))
+
+    def test_28_tiny_meshes(self):
+        done = self.run_in_folder("light", self.mesh("tiny.ply", *slab(1e-6)), *LIGHT, "-o", "x.ply")
+        self.assertIn(done.code, (0, BAD_INPUT, USAGE), done)
+        self.assertIn("m", done.err)
+        self.assertNotIn("bug in Sekitei", done.err)
+        self.fine(self.mesh("small.ply", *slab(1e-2)), "--site", "1mm", "--photon-radius", "2mm", "--cell", "1mm")
+
+    def test_28_huge_meshes_need_more_sites_than_there_are(self):
+        self.both(LIMIT, ["sites", "site"], self.mesh("huge.ply", *slab(1e6)))
+        self.fine(self.mesh("large.ply", *slab(1e2)), "--site", "10m", "--photon-radius", "20m", "--cell", "2m")
+
+    def test_29_photons(self):
+        for value in ("0", "-1", "1e15", "1000T"):
+            self.both(USAGE, ["photons"], "rock.ply", "--photons", value)
+        self.refuse(LIMIT, ["light", "--memory"], "light", "rock.ply", "--site", "10cm", "--photons", "1G", "--memory", "1G", "-o", "x.ply")
+        self.fine("rock.ply", "--photons", "1")
+
+    def test_30_sun_and_place(self):
+        self.write("night.csv", year(datetime.date(2021, 12, 20), 85))
+        self.write("summer.csv", year(datetime.date(2021, 6, 20), 40))
+        dark = self.light("rock.ply", "--weather", "night.csv", "-o", "night.ply", "--json").json()["summary"]
+        self.assertEqual(dark["mean_light"], 0)
+        self.moss("rock.ply", "--weather", "night.csv", "--days", "3", "-o", "night_moss.vdb")
+        day = self.light("rock.ply", "--weather", "summer.csv", "-o", "summer.ply", "--json").json()["summary"]
+        self.assertGreater(day["mean_light"], 20)
+        for option, value in (("--latitude", "91"), ("--sun-elevation", "0"), ("--sun-elevation", "-5"), ("--sun-elevation", "91"),
+                              ("--open-light", "-1"), ("--sky-light", "-1"), ("--photon-radius", "0"), ("--site", "0"), ("--site", "-1")):
+            self.both(USAGE, [option[2:].replace("-", "_")], "rock.ply", option, value)
+        self.refuse(USAGE, ["albedo"], "moss", "rock.ply", *MOSS, "--albedo", "1.1", "-o", "x.vdb")
+        self.refuse(USAGE, ["cap"], "moss", "rock.ply", *MOSS, "--cap", "0", "-o", "x.vdb")
+        self.refuse(USAGE, ["weather"], "light", "rock.ply", *LIGHT, "--sun", "path", "-o", "x.vdb")
+        self.refuse(USAGE, ["square_distance"], "light", "rock.ply", *LIGHT, "--sun-light", "square", "--square-distance", "20cm", "-o", "x.vdb")
+        self.fine("rock.ply", "--sun-elevation", "0.5")
+        self.light("rock.ply", "--sun-light", "square", "-o", "square.ply")
+
+    def test_textures_and_attributes(self):
+        self.write("soil.png", foreign.png(4, 4, lambda x, y: 0))
+        self.refuse(BAD_INPUT, ["geology"], "moss", "rock.ply", *MOSS, "--texture", "soil.png", "-o", "x.vdb")
+        self.refuse(BAD_INPUT, ["gone.png"], "moss", "rock.ply", *MOSS, "--texture", "gone.png", "-o", "x.vdb")
+        self.refuse(BAD_INPUT, ["paint"], "moss", "rock.ply", *MOSS, "--mask", "paint", "-o", "x.vdb")
+
+    def test_checkpoints(self):
+        self.moss("rock.ply", "--checkpoint", "c.state", "-o", "a.vdb", "--days", "12")
+        state = (self.folder / "c.state").read_bytes()
+        self.assertGreater(len(state), 100)
+        self.moss("rock.ply", "--checkpoint", "c.state", "-o", "b.vdb")
+        self.assertSameBytes(self.folder / "a.vdb", self.folder / "b.vdb", "from day 10")
+        again = ["moss", "rock.ply", *MOSS, "--checkpoint", "c.state", "-o", "x.vdb"]
+        self.refuse(BAD_INPUT, ["c.state", "seed"], *again, "--seed", "5")
+        self.refuse(BAD_INPUT, ["c.state", "growth_rate"], *again, "--growth-rate", "0.5")
+        self.mesh("rock.ply", *foreign.box((0, 0, -0.2), (0.6, 0.41, 0)))
+        self.refuse(BAD_INPUT, ["c.state", "mesh"], *again)
+        self.mesh("rock.ply", *slab())
+        for damage in (b"", state[:100], state[:-1], state[:60] + b"?" + state[61:], b"x" + state):
+            self.write("c.state", damage)
+            self.refuse(BAD_INPUT, ["c.state"], *again)
+
+
+if __name__ == "__main__":
+    unittest.main()
