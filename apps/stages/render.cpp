@@ -183,9 +183,10 @@ private:
             if (const std::vector<std::string> names = species_names(scene); !names.empty())
                 stuff.species = names;
             if (climate) stuff.moss_size = 1.6 * scene.floats("surf_area").transform().voxel;
-            // On a mesh plants have a size of their own, and stand closer than that.
+            // Mosses of a mesh know their host; they have a size of their own and stand closer.
             if (const Json* made = params_of(scene, "moss");
-                made && scene.points.contains("sites") && made->contains("size"))
+                made && scene.points.at("moss").attributes.contains("host") &&
+                made->contains("size"))
                 stuff.moss_size = 1.15 * (*made)["size"].get<double>();
             if (scenery_.tuft_size) stuff.moss_size = *scenery_.tuft_size;
         }
