@@ -194,6 +194,23 @@ class Files(MeshTest):
             self.succeed("render", source, "-o", "x.png", "--force", *PICTURE)
         self.succeed("render", "moss.vdb", "--field", "light_S", "-o", "light.png", *PICTURE)
 
+    def test_plants_are_drawn_at_their_own_size_and_kept_photons_as_dots(self):
+        def pixels(source, *options):
+            self.succeed("render", source, "-o", "x.png", "--force", *PICTURE, *options)
+            content = (self.folder / "x.png").read_bytes()
+            return content[content.index(b"IDAT"):]  # what goes before tells the command
+
+        # 1.15 sizes of 1 cm, however large the sites are.
+        self.grow()
+        self.assertEqual(pixels("moss.vdb"), pixels("moss.vdb", "--tuft-size", "1.15cm"))
+        self.assertNotEqual(pixels("moss.vdb"), pixels("moss.vdb", "--tuft-size", "16cm"))
+        self.light("rock.ply", "-o", "plain.vdb")
+        self.light("rock.ply", "--keep-photons", "-o", "light.vdb")
+        self.assertEqual(pixels("light.vdb", "--no-photons"), pixels("plain.vdb"))
+        dots = pixels("light.vdb")
+        self.assertNotEqual(dots, pixels("plain.vdb"))
+        self.assertNotEqual(dots, pixels("light.vdb", "--photon-size", "5cm"))
+
     def test_the_seed_and_threads(self):
         for name, options in (("one", ["--threads", 1]), ("two", ["--threads", 2]), ("other", ["--seed", 2])):
             self.moss("rock.ply", "-o", f"{name}.vdb", *options)
