@@ -59,7 +59,7 @@ public:
     const StageInfo& info() const override
     {
         static const StageInfo kInfo{"render",
-                                     "1",
+                                     "2",
                                      "make a picture of the rock or of a slice through a volume",
                                      OutputKind::Picture,
                                      true,
