@@ -80,6 +80,11 @@ void check_square(const PhotonParams& params, double radius)
         throw InvalidParameter(fmt::format(
             "photons: square_distance = {:.6g} m, must be >= {:.6g} m, three radii of the scene",
             distance, 3 * radius));
+    if (params.sun_light == SunLight::Square && square_of(params, radius).half > 100 * radius)
+        throw InvalidParameter(fmt::format(
+            "photons: square_half = {:.6g} m, must be at most {:.6g} m, 100 radii of the scene, "
+            "beyond which hardly a direction finds it; sun_light = square_cone has no such limit",
+            square_of(params, radius).half, 100 * radius));
     if (params.sun_light == SunLight::Square && distance > 100 * radius)
         throw InvalidParameter(fmt::format(
             "photons: square_distance = {:.6g} m, must be <= {:.6g} m, a hundred radii of the "
