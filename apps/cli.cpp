@@ -135,8 +135,7 @@ struct Command {
     std::vector<std::string> files, set, only;
     std::map<std::string, std::string> words;  // parameters of a stage
     std::map<std::string, bool> flags;
-    std::string stage, shell, text, at;
-    std::int64_t face = -1;
+    std::string stage, shell, text, at, face;
     bool dry_run = false, full = false, markdown = false;
     std::string tolerance = "0", growth = "2";
     std::function<int(const Common&)> run;
@@ -282,7 +281,6 @@ void add_tool_commands(CLI::App& program, Commands& commands)
             ->allow_extra_args(false);
         c.app->add_option("--face", c.face, "number of a face of the mesh beside the scene")
             ->type_name("NUMBER")
-            ->check(CLI::NonNegativeNumber)
             ->allow_extra_args(false);
         c.run = [&c](const Common& common) {
             return command_explain(c.files.at(0), c.at, c.face, common);

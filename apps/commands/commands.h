@@ -38,8 +38,8 @@ int command_diff(const std::string& a, const std::string& b, double tolerance,
                  const Common& common);
 int command_verify(const std::vector<std::string>& files, const Common& common);
 /// @param at    "x,y,z" [m]; the nearest surface cell, or site of a mesh, is explained
-/// @param face  number of a face of the mesh beside the scene, -1: `at` says where
-int command_explain(const std::string& file, const std::string& at, std::int64_t face,
+/// @param face  number of a face of the mesh beside the scene as given; empty: `at` says where
+int command_explain(const std::string& file, const std::string& at, const std::string& face,
                     const Common& common);
 int command_schema(const std::string& stage, bool markdown);
 int command_completions(const std::string& shell);

@@ -1,6 +1,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <charconv>
 #include <cmath>
 #include <functional>
 #include <map>
@@ -110,7 +111,20 @@ Place cell_at(const Scene& scene, const std::string& file, Vec3d asked)
             }};
 }
 
-Place site_at(const Scene& scene, const std::string& file, Vec3d asked, std::int64_t face)
+/// The face that --face names of `count`.
+std::size_t face_of(const std::string& word, std::size_t count)
+{
+    std::size_t face = 0;
+    const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), face);
+    if (error != std::errc{} || end != word.data() + word.size() || face >= count)
+        throw InvalidParameter(
+            fmt::format("--face {}: must be a whole number from 0 to {}, for the mesh has {} faces",
+                        word, count - 1, count));
+    return face;
+}
+
+/// @param face  as given; empty: the site nearest to `asked`
+Place site_at(const Scene& scene, const std::string& file, Vec3d asked, const std::string& face)
 {
     const auto found = scene.points.find("sites");
     if (found == scene.points.end())
@@ -119,14 +133,11 @@ Place site_at(const Scene& scene, const std::string& file, Vec3d asked, std::int
             "one, or give --at",
             file));
     const Points& sites = found->second;
-    const auto count = static_cast<std::int64_t>(sites.position.size());
-    if (face >= count)
-        throw InvalidParameter(
-            fmt::format("--face {}: the mesh has {} faces, 0 to {}", face, count, count - 1));
-    const std::size_t site = face >= 0 ? static_cast<std::size_t>(face)
-                                       : nearest_of(sites.position.size(), [&](std::size_t i) {
-                                             return length(sites.position[i] - asked);
-                                         });
+    const std::size_t count = sites.position.size();
+    const std::size_t site =
+        !face.empty()
+            ? face_of(face, count)
+            : nearest_of(count, [&](std::size_t i) { return length(sites.position[i] - asked); });
     const auto* normal = sites.values<Vec3f>("N");
     const auto* area = sites.values<float>("area");
     if (!normal || !area)
@@ -183,16 +194,16 @@ std::string mosses_on(const Scene& scene, std::int64_t number, Json& json)
 
 }  // namespace
 
-int command_explain(const std::string& file, const std::string& at, std::int64_t face,
+int command_explain(const std::string& file, const std::string& at, const std::string& face,
                     const Common& common)
 {
-    if (at.empty() == (face < 0))
+    if (at.empty() == face.empty())
         throw InvalidParameter("explain: which place? give --at x,y,z or --face NUMBER");
-    const Vec3d asked = face < 0 ? point_of(at) : Vec3d();
+    const Vec3d asked = face.empty() ? point_of(at) : Vec3d();
     ReadOptions options;
     options.memory_limit = common.memory_limit;
     const Scene scene = read_vdb(file, options);
-    const bool mesh = face >= 0 || scene.points.contains("sites");
+    const bool mesh = !face.empty() || scene.points.contains("sites");
     const Place place = mesh ? site_at(scene, file, asked, face) : cell_at(scene, file, asked);
     auto value = [&](const std::string& name) { return place.value(name); };
     auto known = [&](const std::string& name) { return place.known(name); };
@@ -200,8 +211,8 @@ int command_explain(const std::string& file, const std::string& at, std::int64_t
     Json json;
     const Vec3d p = place.at;
     const Vec3f n = place.normal;
-    const double nearest = face < 0 ? length(p - asked) : 0;
-    if (face < 0) json["asked_m"] = {asked.x, asked.y, asked.z};
+    const double nearest = face.empty() ? length(p - asked) : 0;
+    if (face.empty()) json["asked_m"] = {asked.x, asked.y, asked.z};
     json[mesh ? "site_m" : "cell_m"] = {p.x, p.y, p.z};
     json["away_m"] = nearest;
     json["normal"] = {n.x, n.y, n.z};
@@ -209,8 +220,8 @@ int command_explain(const std::string& file, const std::string& at, std::int64_t
         "{} at {:.4g}, {:.4g}, {:.4g} m{}; normal {:.2f}, {:.2f}, {:.2f}; area {:.3g} "
         "cm2\n",
         place.what, p.x, p.y, p.z,
-        face < 0 ? fmt::format(", {:.3g} m from the point asked for", nearest) : "", n.x, n.y, n.z,
-        place.area * 1e4);
+        face.empty() ? fmt::format(", {:.3g} m from the point asked for", nearest) : "", n.x, n.y,
+        n.z, place.area * 1e4);
     auto row = [&](const char* name, const char* label, const char* unit) {
         if (!known(name)) return;
         json[name] = value(name);

@@ -182,11 +182,14 @@ class Files(MeshTest):
         self.assertGreater(count, 8)
         text = self.succeed("explain", "moss.vdb", "--face", "7").out.decode()
         self.assertIn("face 7", text)
-        self.refuse(USAGE, ["100000000", "faces"], "explain", "moss.vdb", "--face", "100000000")
+        faces = int(re.search(r"element face (\d+)", header((self.folder / "moss.ply").read_bytes()))[1])
+        expected = f"must be a whole number from 0 to {faces - 1}, for the mesh has {faces} faces"
+        for wrong in ("-1", "100000000", str(faces), "1" + 40 * "0", "1.5", "seven", "7x"):
+            done = self.refuse(USAGE, f"error: --face {wrong}: {expected}\n", "explain", "moss.vdb", "--face", wrong)
+            self.assertEqual(len(done.err.splitlines()), 1, done.err)
+        self.succeed("explain", "moss.vdb", "--face", str(faces - 1))
         self.refuse(USAGE, ["--at", "--face"], "explain", "moss.vdb", "--face", "7", "--at", "0,0,0")
         self.refuse(USAGE, ["--at", "--face"], "explain", "moss.vdb")
-        self.refuse(USAGE, ["face"], "explain", "moss.vdb", "--face", "-1")
-        self.refuse(USAGE, ["face"], "explain", "moss.vdb", "--face", "seven")
 
     def test_the_result_can_be_drawn(self):
         self.grow()
