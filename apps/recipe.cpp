@@ -11,6 +11,7 @@
 
 #include "core/error.h"
 #include "core/file_output.h"
+#include "core/log.h"
 
 namespace sekitei::apps {
 namespace {
@@ -197,6 +198,7 @@ struct Draft {
     RecipeStage stage;
     std::vector<std::string> from;
     bool from_given = false;
+    bool one_file = false;  ///< write is a name, not a list
     toml::source_region source, write_source;
 };
 
@@ -249,6 +251,7 @@ void read_stage(const std::string& name, const toml::table& table, std::uint64_t
                 draft.from_given = true;
             } else if (key == "write") {
                 draft.write_source = node->source();
+                draft.one_file = node->is_string();
                 draft.stage.write = strings_of(*node, "write");
             } else if (key == "seed")
                 draft.stage.seed = seed_of(*node);
@@ -364,6 +367,34 @@ void pass_meshes_on(std::vector<Draft>& drafts, const std::vector<std::size_t>& 
                         [&](const std::string& parent) { return with_mesh.contains(parent); });
         if (stage.info().reads_mesh) stage.meets_mesh(there);
         if (there || makes_mesh(stage)) with_mesh.insert(drafts[i].stage.name);
+    }
+}
+
+/// A scene about a mesh is nothing to draw or to go on from without it: where only the scene is
+/// asked for, its mesh goes beside it as it does by hand. A list is taken at its word.
+void add_meshes_beside(std::vector<Draft>& drafts, const Errors& errors)
+{
+    std::map<std::string, std::string> owner;
+    auto plain = [](const std::filesystem::path& path) { return path.lexically_normal().string(); };
+    for (const Draft& draft : drafts)
+        for (const std::string& name : draft.stage.write)
+            owner.emplace(plain(name), draft.stage.name);
+    for (Draft& draft : drafts) {
+        std::vector<std::string>& write = draft.stage.write;
+        if (!draft.one_file || !makes_mesh(*draft.stage.process)) continue;
+        std::filesystem::path beside = write.front();
+        if (beside.extension() != ".vdb") continue;
+        beside.replace_extension(".ply");
+        const auto other = owner.find(plain(beside));
+        if (other == owner.end())
+            write.push_back(beside.string());
+        else
+            log::warning(
+                "{}: {}.write: the mesh of {} belongs beside it as {}, which the stage '{}' "
+                "writes; "
+                "the scene cannot be drawn: give one of the two another name",
+                errors.place(draft.write_source), draft.stage.name, write.front(), beside.string(),
+                other->second);
     }
 }
 
@@ -536,6 +567,7 @@ Recipe parse_recipe(const std::string& text, const std::filesystem::path& file,
     const std::vector<std::size_t> order = sorted(drafts, errors);
     if (known && order.size() == drafts.size()) pass_meshes_on(drafts, order);
     if (known && order.size() == drafts.size()) check_supplies(drafts, order, errors);
+    if (known && order.size() == drafts.size()) add_meshes_beside(drafts, errors);
     check_writes(drafts, errors);
     errors.raise();
     std::map<std::string, std::size_t> position;

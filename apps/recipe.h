@@ -16,7 +16,9 @@ struct RecipeStage {
     std::string name;                ///< of the table
     std::unique_ptr<Stage> process;  ///< with the table's parameters set
     std::vector<std::size_t> from;   ///< indices of the stages it reads
-    std::vector<std::string> write;  ///< file names inside the output folder
+    /// File names inside the output folder. Where a recipe names one scene for a stage that also
+    /// makes a mesh, the mesh's follows: "x.vdb", "x.ply".
+    std::vector<std::string> write;
     std::uint64_t seed = 1;
     std::string place;  ///< "cliff.toml:12:1" for messages
 };

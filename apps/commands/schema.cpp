@@ -14,8 +14,11 @@ Json stage_schema(const StageInfo& info)
     properties["stage"] = {{"const", info.name}};
     properties["from"] = {{"description", "stages it reads; default: the one above"},
                           {"type", {"string", "array"}}};
-    properties["write"] = {{"description", "files to write into the output folder"},
-                           {"type", {"string", "array"}}};
+    properties["write"] = {
+        {"description",
+         "files to write into the output folder; \"x.vdb\" by itself also "
+         "writes x.ply where the scene is about a mesh, a list only what it names"},
+        {"type", {"string", "array"}}};
     properties["seed"] = {{"description", "of this stage; default: the recipe's"},
                           {"type", "integer"},
                           {"minimum", 0}};
@@ -51,7 +54,13 @@ int command_schema(const std::string& only, bool markdown)
         std::string text =
             "# Reference\n\nEvery stage with its parameters: recipe keys, and with `--` and "
             "hyphens the options of the\n"
-            "command of the same name. Made by `sekitei schema --markdown`.\n\n";
+            "command of the same name. Made by `sekitei schema --markdown`.\n\n"
+            "A scene about a mesh, as `light` and `moss` make of one, has its mesh beside it: "
+            "`-o x.vdb` and the recipe\n"
+            "line `write = \"x.vdb\"` write x.ply too. A list writes only what it names: "
+            "`write = [\"x.vdb\"]` leaves the\n"
+            "mesh out, and nothing can draw such a scene; `write = [\"x.vdb\", \"x.ply\"]` names "
+            "both.\n\n";
         for (const StageInfo& info : infos) text += reference(info);
         text.pop_back();
         print(text);

@@ -257,6 +257,33 @@ class Recipes(MeshTest):
         self.mesh("rock.ply", *foreign.box((0, 0, -0.2), (0.6, 0.5, 0)))
         self.assertEqual(self.states()["moss"], "run")
 
+    def test_a_scene_written_alone_has_its_mesh_beside_it(self):
+        self.recipe(RECIPE, "moss.toml")
+        self.succeed("run", "moss.toml", "-q", "--set", "out=both")
+        both = files_in(self.folder / "both")
+        alone = RECIPE.replace('["moss.vdb", "moss.ply"]', '"moss.vdb"')
+        self.recipe(alone, "moss.toml")
+        self.states()
+        self.assertSameFiles(files_in(self.folder / "out"), both, "as if both were named")
+        self.succeed("render", "out/moss.vdb", "-o", "x.png", *PICTURE)
+        self.assertNotIn("run", self.states().values())
+        # Somebody else's file is not replaced.
+        self.write("mine/moss.ply", "mine")
+        self.refuse(USAGE, ["moss.ply", "--force"], "run", "moss.toml", "--set", "out=mine")
+        # A list is taken at its word.
+        self.recipe(RECIPE.replace('["moss.vdb", "moss.ply"]', '["moss.vdb"]'), "moss.toml")
+        self.succeed("run", "moss.toml", "-q", "--set", "out=list")
+        self.assertEqual({"moss.vdb", "moss.csv", "manifest.json"}, set(files_in(self.folder / "list")))
+        # A name that another stage writes stays that stage's, and that is told.
+        self.recipe(alone.replace('file = "rock.ply"', 'file = "rock.ply"\nwrite = "./moss.ply"'), "moss.toml")
+        done = self.succeed("run", "moss.toml", "-q", "--set", "out=taken")
+        self.assertRegex(done.err, r"warning: moss\.toml:17:\d+: moss\.write: .*moss\.ply.*'rock'")
+        self.assertNotIn("light_S", header((self.folder / "taken/moss.ply").read_bytes()))
+        # Cells have no mesh.
+        self.recipe('sekitei = 1\nout = "cells"\n[lava]\npreset = "slab"\nsize = ["1.6m", "1.6m", "1.6m"]\nvoxel = "8cm"\nwrite = "lava.vdb"\n', "cells.toml")
+        self.succeed("run", "cells.toml", "-q")
+        self.assertEqual({"lava.vdb", "manifest.json"}, set(files_in(self.folder / "cells")))
+
     def test_a_kept_mesh_that_is_damaged_or_gone_is_made_again(self):
         self.recipe(RECIPE, "moss.toml")
         self.states()
