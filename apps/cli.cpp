@@ -238,7 +238,7 @@ void add_tool_commands(CLI::App& program, Commands& commands)
     }
     {
         Command& c = add("info");
-        c.app->add_option("file", c.files, "scenes (.vdb) or meshes")
+        c.app->add_option("file", c.files, "scenes (.vdb), meshes or points (.ply)")
             ->type_name("FILE")
             ->required();
         c.run = [&c](const Common& common) { return command_info(c.files, common); };

@@ -3,6 +3,7 @@
 #include <array>
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <variant>
@@ -30,6 +31,7 @@ struct Polygons {
 };
 
 Polygons read_ply(std::string_view bytes, const std::string& name);
+std::optional<PointsReport> describe_ply_points(std::string_view bytes, const std::string& name);
 Polygons read_obj(std::string_view bytes, const std::string& name);
 Polygons read_off(std::string_view bytes, const std::string& name);
 Polygons read_stl(std::string_view bytes, const std::string& name);

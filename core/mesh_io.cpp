@@ -159,6 +159,12 @@ TriMesh decode_ply(std::string_view bytes, const std::string& name)
     return mend_reported(read_ply(bytes, name), nullptr);
 }
 
+std::optional<PointsReport> describe_points(std::string_view bytes, const std::string& name)
+{
+    if (!looks_like_ply(bytes)) return std::nullopt;
+    return describe_ply_points(bytes, name);
+}
+
 std::string encode_mesh(const TriMesh& mesh, std::string_view extension, const Progress& progress)
 {
     check(mesh);

@@ -1,6 +1,9 @@
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
+#include <limits>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -67,5 +70,23 @@ std::string encode_mesh(const TriMesh& mesh, std::string_view extension,
 
 /// Reads PLY bytes (for pipes); `name` is used in messages.
 TriMesh decode_ply(std::string_view bytes, const std::string& name);
+
+/// Points as a PLY file holds them.
+struct PointsReport {
+    /// A scalar property of all points, as the file names it.
+    struct Property {
+        std::string name, type;  ///< type: char uchar short ushort int uint float double
+        double least = std::numeric_limits<double>::infinity();  ///< of the finite values
+        double most = -std::numeric_limits<double>::infinity();  ///< below `least`: there are none
+        std::uint64_t not_finite = 0;                            ///< NaN and infinities
+    };
+    std::uint64_t points = 0;
+    std::vector<Property> properties;  ///< in the order of the file, the coordinates among them
+    std::vector<std::string> warnings;
+};
+
+/// Looks through a PLY file that has points and no faces; nothing if it is another file.
+/// @throws InvalidInput  as read_mesh()
+std::optional<PointsReport> describe_points(std::string_view bytes, const std::string& name);
 
 }  // namespace sekitei

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <optional>
 #include <set>
 
 #include "core/error.h"
@@ -92,6 +93,10 @@ public:
     Polygons read()
     {
         header();
+        if (!has_faces())
+            throw InvalidInput(fmt::format(
+                "{}: the header has no element 'face': a surface is needed, not a point cloud",
+                name_));
         for (const Element& element : elements_) {
             if (element.name == "vertex")
                 vertices(element);
@@ -100,15 +105,29 @@ public:
             else {
                 out_.warnings.push_back(
                     fmt::format("{}: element '{}' is not used", name_, element.name));
-                rows(
-                    element, [](std::size_t, double) {}, [](std::size_t, double) {}, [] {});
+                skip(element);
             }
         }
         texture_of_vertices();
-        if (encoding_ != Encoding::Ascii && at_ < bytes_.size())
-            out_.warnings.push_back(fmt::format("{}: {} bytes behind the last element are not used",
-                                                name_, bytes_.size() - at_));
+        warn_of_rest();
         return std::move(out_);
+    }
+
+    std::optional<PointsReport> describe_points()
+    {
+        header();
+        for (const Element& e : elements_)
+            if (e.name == "face" && e.count > 0) return std::nullopt;
+        PointsReport report;
+        report.points = vertex_count_;
+        for (const Element& e : elements_)
+            if (e.name == "vertex")
+                ranges(e, report);
+            else
+                skip(e);
+        warn_of_rest();
+        report.warnings = std::move(out_.warnings);
+        return report;
     }
 
 private:
@@ -239,7 +258,7 @@ private:
     void check_sizes()
     {
         double needed = static_cast<double>(at_);
-        bool vertex = false, face = false;
+        bool vertex = false;
         for (const Element& e : elements_) {
             double row = 0;
             for (const Property& p : e.properties)
@@ -249,7 +268,6 @@ private:
             if (encoding_ == Encoding::Ascii && e.properties.empty()) row = 1;
             needed += row * static_cast<double>(e.count);
             vertex = vertex || e.name == "vertex";
-            face = face || e.name == "face";
             if (e.name == "vertex") vertex_count_ = e.count;
         }
         if (encoding_ == Encoding::Ascii) needed -= 1;  // the last line may lack its end
@@ -258,13 +276,17 @@ private:
                 "{}: truncated: the header needs at least {} bytes, the file has {}", name_,
                 needed < 9e15 ? fmt::format("{:.0f}", needed) : fmt::format("{:.3g}", needed),
                 bytes_.size()));
-        if (!vertex || !face)
-            throw InvalidInput(fmt::format(
-                "{}: the header has no element '{}'{}", name_, vertex ? "face" : "vertex",
-                vertex ? ": a surface is needed, not a point cloud" : ""));
+        if (!vertex)
+            throw InvalidInput(fmt::format("{}: the header has no element 'vertex'", name_));
         if (vertex_count_ >= std::numeric_limits<std::uint32_t>::max())
             throw LimitExceeded(
                 fmt::format("{}: {} vertices, at most 4.29 billion", name_, vertex_count_));
+    }
+
+    bool has_faces() const
+    {
+        return std::any_of(elements_.begin(), elements_.end(),
+                           [](const Element& e) { return e.name == "face"; });
     }
 
     // One value of the present row ----------------------------------------------------------------
@@ -381,6 +403,46 @@ private:
                                                    place(), shown(more), e.name));
             }
             done();
+        }
+    }
+
+    void skip(const Element& e)
+    {
+        rows(
+            e, [](std::size_t, double) {}, [](std::size_t, double) {}, [] {});
+    }
+
+    void warn_of_rest()
+    {
+        if (encoding_ != Encoding::Ascii && at_ < bytes_.size())
+            out_.warnings.push_back(fmt::format("{}: {} bytes behind the last element are not used",
+                                                name_, bytes_.size() - at_));
+    }
+
+    /// Between which values each property of the points lies.
+    void ranges(const Element& e, PointsReport& report)
+    {
+        std::vector<PointsReport::Property> found(e.properties.size());
+        rows(
+            e,
+            [&](std::size_t i, double number) {
+                if (!std::isfinite(number)) {
+                    ++found[i].not_finite;
+                    return;
+                }
+                found[i].least = std::min(found[i].least, number);
+                found[i].most = std::max(found[i].most, number);
+            },
+            [](std::size_t, double) {}, [] {});
+        warn_of_lists(e, {});
+        for (std::size_t i = 0; i < found.size(); ++i) {
+            const Property& p = e.properties[i];
+            if (p.list) continue;
+            found[i].name = p.name;
+            // Of the two names of each type, the one that every program knows.
+            for (const TypeName& t : kTypes)
+                if (t.type == p.type && found[i].type.empty()) found[i].type = t.name;
+            report.properties.push_back(std::move(found[i]));
         }
     }
 
@@ -671,6 +733,11 @@ bool looks_like_ply(std::string_view bytes)
 Polygons read_ply(std::string_view bytes, const std::string& name)
 {
     return Reader(bytes, name).read();
+}
+
+std::optional<PointsReport> describe_ply_points(std::string_view bytes, const std::string& name)
+{
+    return Reader(bytes, name).describe_points();
 }
 
 std::string write_ply(const TriMesh& mesh, const Progress& progress)

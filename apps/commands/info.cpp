@@ -2,6 +2,8 @@
 
 #include "apps/commands/commands.h"
 #include "core/error.h"
+#include "core/file_output.h"
+#include "core/log.h"
 #include "core/mesh_io.h"
 #include "grids/vdb_file.h"
 
@@ -47,10 +49,42 @@ Json describe_scene(const std::string& file)
     return json;
 }
 
-Json describe_mesh(const std::string& file)
+Json points_json(const std::string& file, std::size_t bytes, const PointsReport& r)
 {
+    Json json = {{"file", file},
+                 {"bytes", bytes},
+                 {"points", r.points},
+                 {"attributes", Json::array()},
+                 {"warnings", r.warnings}};
+    Vec3d lower, upper;
+    int axes = 0;
+    for (const PointsReport::Property& p : r.properties) {
+        const bool any = p.least <= p.most;
+        const std::size_t axis = p.name.size() == 1 ? std::string("xyz").find(p.name) : 3;
+        if (axis < 3) {
+            if (!any) continue;
+            lower[int(axis)] = p.least;
+            upper[int(axis)] = p.most;
+            ++axes;
+            continue;
+        }
+        Json entry = {{"name", p.name}, {"type", p.type}};
+        if (any) entry["min"] = p.least, entry["max"] = p.most;
+        if (p.not_finite > 0) entry["not_finite"] = p.not_finite;
+        json["attributes"].push_back(std::move(entry));
+    }
+    if (axes == 3) json["bounds_m"] = bounds_json(lower, upper);
+    return json;
+}
+
+/// A mesh, or points in a PLY file.
+Json describe_shape(const std::string& file)
+{
+    const std::string bytes = read_file(file);
+    if (const auto points = describe_points(bytes, file))
+        return points_json(file, bytes.size(), *points);
     MeshReadReport report;
-    const TriMesh mesh = read_mesh(file, &report);
+    const TriMesh mesh = decode_mesh(bytes, file, &report);
     const MeshReport r = inspect(mesh);
     const Bounds b = mesh.bounds();
     return {{"file", file},
@@ -66,6 +100,37 @@ Json describe_mesh(const std::string& file)
             {"warnings", report.warnings}};
 }
 
+std::string bounds_text(const Json& bounds)
+{
+    const auto lower = bounds[0].get<std::vector<double>>(),
+               upper = bounds[1].get<std::vector<double>>();
+    return fmt::format("{:.4g},{:.4g},{:.4g} to {:.4g},{:.4g},{:.4g}", lower[0], lower[1], lower[2],
+                       upper[0], upper[1], upper[2]);
+}
+
+std::string points_text(const Json& j)
+{
+    std::string text =
+        fmt::format("{}  {}\n{} points", j["file"].get<std::string>(),
+                    bytes_text(j["bytes"].get<double>()), j["points"].get<std::uint64_t>());
+    if (j.contains("bounds_m")) text += fmt::format(", {} m", bounds_text(j["bounds_m"]));
+    text += '\n';
+    if (!j["attributes"].empty())
+        text += fmt::format("\n{:<20} {:<8} {:>14} {:>14}\n", "attribute", "type", "min", "max");
+    for (const Json& a : j["attributes"]) {
+        auto number = [&](const char* key) {
+            return a.contains(key) ? fmt::format("{:.7g}", a[key].get<double>()) : "none";
+        };
+        text += fmt::format("{:<20} {:<8} {:>14} {:>14}", a["name"].get<std::string>(),
+                            a["type"].get<std::string>(), number("min"), number("max"));
+        if (a.contains("not_finite"))
+            text += fmt::format("  {} are not finite", a["not_finite"].get<std::uint64_t>());
+        text += '\n';
+    }
+    for (const Json& warning : j["warnings"]) log::warning("{}", warning.get<std::string>());
+    return text;
+}
+
 std::string scene_text(const Json& j)
 {
     std::string text =
@@ -78,13 +143,7 @@ std::string scene_text(const Json& j)
                         "type", "class", "active voxels", "on disk", "in memory", "voxel m", "unit",
                         "bounds m");
     for (const Json& g : j["grids"]) {
-        std::string bounds;
-        if (g.contains("bounds_m")) {
-            const auto lower = g["bounds_m"][0].get<std::vector<double>>(),
-                       upper = g["bounds_m"][1].get<std::vector<double>>();
-            bounds = fmt::format("{:.4g},{:.4g},{:.4g} to {:.4g},{:.4g},{:.4g}", lower[0], lower[1],
-                                 lower[2], upper[0], upper[1], upper[2]);
-        }
+        const std::string bounds = g.contains("bounds_m") ? bounds_text(g["bounds_m"]) : "";
         text += fmt::format("{:<26} {:<8} {:<12} {:>14} {:>10} {:>10} {:>8.4g}  {:<6} {}\n",
                             g["name"].get<std::string>(),
                             g["points"].get<bool>() ? "points" : g["type"].get<std::string>(),
@@ -120,11 +179,13 @@ int command_info(const std::vector<std::string>& files, const Common& common)
     Json all = Json::array();
     for (const std::string& file : files) {
         const bool scene = std::filesystem::path(file).extension() == ".vdb";
-        const Json json = scene ? describe_scene(file) : describe_mesh(file);
+        const Json json = scene ? describe_scene(file) : describe_shape(file);
         if (common.json)
             all.push_back(json);
         else if (scene)
             print(scene_text(json));
+        else if (json.contains("points"))
+            print(points_text(json));
         else
             print(
                 fmt::format("{}\n{} vertices, {} triangles, {} pieces, {}, volume {:.6g} m^3, area "

@@ -122,6 +122,48 @@ class Files(MeshTest):
         self.succeed("export", "scene.vdb", "-o", "exported.ply")
         self.assertSameBytes(self.folder / "exported.ply", content)
 
+    def test_info_tells_of_points(self):
+        stored = self.light("rock.ply", "-o", "light.ply", "--debug-photons", "photons.ply", "--json").json()["summary"]["stored"]
+        told = self.succeed("info", "photons.ply", "--json").json()[0]
+        self.assertEqual(told["points"], stored)
+        self.assertEqual(told["bytes"], (self.folder / "photons.ply").stat().st_size)
+        for axis, (lower, upper) in enumerate(((0, 0.6), (0, 0.4), (-0.2, 0))):
+            self.assertAlmostEqual(told["bounds_m"][0][axis], lower, delta=0.05)
+            self.assertAlmostEqual(told["bounds_m"][1][axis], upper, delta=0.05)
+        of = {a["name"]: a for a in told["attributes"]}
+        self.assertEqual(of["bounce"]["type"], "int")
+        self.assertEqual(of["flux"]["type"], "float")
+        self.assertGreaterEqual(of["bounce"]["min"], 0)
+        self.assertGreater(of["flux"]["max"], 0)
+        self.moss("rock.ply", "-o", "moss.ply", "--points", "plants.ply")
+        told = self.succeed("info", "plants.ply", "--json").json()[0]
+        self.assertEqual(told["points"], points((self.folder / "plants.ply").read_bytes()))
+        of = {a["name"]: a for a in told["attributes"]}
+        self.assertEqual((of["species"]["type"], of["id"]["type"]), ("int", "double"))
+        self.assertLessEqual(of["species"]["max"], 2)
+        text = self.succeed("info", "plants.ply", "moss.ply").out.decode()
+        self.assertIn(f"{told['points']} points, ", text)
+        self.assertRegex(text, rf"\ngrowth +float +{of['growth']['min']:.7g} +{of['growth']['max']:.7g}\n")
+        self.assertIn("triangles", text)
+
+    def test_info_tells_of_points_of_others(self):
+        head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty double z\nproperty uint8 red\nproperty float32 heat\n"
+        rows = "1 -2 3 255 nan\n0.5 4 -3 7 -8.5\n0 0 0 9 2\n"
+        for faces in ("", "element face 0\nproperty list uchar int vertex_indices\n"):
+            self.write("dots.ply", head + faces + "end_header\n" + rows)
+            told = self.succeed("info", "dots.ply", "--json").json()[0]
+            self.assertEqual(told["points"], 3)
+            self.assertEqual(told["bounds_m"], [[0, -2, -3], [1, 4, 3]])
+            self.assertEqual(told["attributes"], [{"name": "red", "type": "uchar", "min": 7, "max": 255},
+                                                  {"name": "heat", "type": "float", "min": -8.5, "max": 2, "not_finite": 1}])
+        self.assertRegex(self.succeed("info", "dots.ply").out.decode(), r"heat +float +-8.5 +2  1 are not finite\n")
+        self.write("none.ply", head.replace("vertex 3", "vertex 0") + "end_header\n")
+        told = self.succeed("info", "none.ply", "--json").json()[0]
+        self.assertEqual((told["points"], told["attributes"][0]), (0, {"name": "red", "type": "uchar"}))
+        self.assertNotIn("bounds_m", told)
+        self.assertRegex(self.succeed("info", "none.ply").out.decode(), r"0 points\n[^0-9]*red +uchar +none +none")
+        self.refuse(BAD_INPUT, ["cut.ply", "truncated"], "info", self.write("cut.ply", head + "end_header\n" + rows[:20]))
+
     def test_counts_take_thousands_and_millions(self):
         wanted = self.light("rock.ply", "-o", "a.ply", "--json").json()["summary"]["photons"]
         self.assertEqual(wanted, 20000)
