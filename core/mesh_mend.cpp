@@ -514,7 +514,8 @@ TriMesh mend(Polygons&& p, MeshReadReport& report)
     const double extent = std::max({size.x, size.y, size.z});
     if (extent < 1e-4 || extent > 1e5)
         p.warnings.push_back(fmt::format(
-            "{} is {:.3g} m across: if its coordinates are not metres, say so with --mesh-scale",
+            "{} is {:.3g} m across: if its coordinates are not metres, say so with --mesh-scale of "
+            "`sekitei lava` or --scale of `sekitei mesh --file`",
             p.name, extent));
     report.groups = std::move(p.groups);
     report.warnings = std::move(p.warnings);

@@ -22,6 +22,9 @@ using Triangle = std::array<std::uint32_t, 3>;
 constexpr double kLeastArea = 1e-12;  ///< what is smaller has no direction to speak of [m^2]
 constexpr std::size_t kMostSites = std::size_t(1) << 31;
 constexpr std::size_t kGrain = 4096;
+constexpr const char* kScaleHint =
+    "if its coordinates are not metres, `sekitei mesh --file IN --scale METRES_PER_UNIT -o "
+    "OUT.ply` (in recipes: scale of the stage mesh) makes them so";
 
 /// "3, 17 and 40 more": the first ten of what is wrong.
 std::string first_ten(const std::vector<std::size_t>& ids)
@@ -30,6 +33,13 @@ std::string first_ten(const std::vector<std::size_t>& ids)
     for (std::size_t i = 0; i < std::min<std::size_t>(ids.size(), 10); ++i)
         text += fmt::format("{}{}", i == 0 ? "" : ", ", ids[i]);
     return ids.size() > 10 ? fmt::format("{} and {} more", text, ids.size() - 10) : text;
+}
+
+/// The longest side of its box [m].
+double extent_of(const TriMesh& mesh)
+{
+    const Vec3d size = mesh.bounds().size();
+    return std::max({size.x, size.y, size.z});
 }
 
 double squared_length(Vec3f a, Vec3f b)
@@ -110,9 +120,10 @@ Division weld(const TriMesh& mesh)
         for (const std::uint32_t v : d.triangles.back()) index[v] = 0;
     }
     if (d.triangles.empty())
-        throw InvalidInput(
-            fmt::format("sites: none of the {} triangles has an area of {} m^2 or more",
-                        mesh.triangles.size(), kLeastArea));
+        throw InvalidInput(fmt::format(
+            "sites: none of the {} triangles has an area of {} m^2 or more: the mesh is "
+            "{:.3g} m across; {}",
+            mesh.triangles.size(), kLeastArea, extent_of(mesh), kScaleHint));
     if (const std::size_t dropped = mesh.triangles.size() - d.triangles.size(); dropped > 0)
         log::info("sites: {} triangles smaller than {} m^2 are left out", dropped, kLeastArea);
 
@@ -174,8 +185,8 @@ void check_count(const Division& d, double longest_edge)
     if (count >= double(kMostSites))
         throw LimitExceeded(
             fmt::format("sites: longest_edge = {} m makes {} sites or more, at most 2^31 - 1: "
-                        "raise it, or check the unit of the mesh",
-                        longest_edge, count_text(count)));
+                        "raise it, or check the unit of the mesh: {}",
+                        longest_edge, count_text(count), kScaleHint));
 }
 
 /// One side of a triangle that is to be halved.
@@ -215,8 +226,8 @@ bool halve(Division& d, double longest_edge, const Progress& progress)
     if (count + sides.size() >= kMostSites)
         throw LimitExceeded(
             fmt::format("sites: longest_edge = {} m makes {} sites or more, at most 2^31 - 1: "
-                        "raise it, or check the unit of the mesh",
-                        longest_edge, count_text(double(count + sides.size()))));
+                        "raise it, or check the unit of the mesh: {}",
+                        longest_edge, count_text(double(count + sides.size())), kScaleHint));
     constexpr std::uint32_t kWhole = std::numeric_limits<std::uint32_t>::max();
     std::vector<std::uint32_t> middle(3 * count, kWhole);
     for (std::size_t i = 0; i < sides.size(); ++i) {

@@ -252,7 +252,8 @@ TEST(MeshSites, TrianglesWithoutAreaAreLeftOutAndTold)
     nothing.vertices = {{0, 0, 0}, {1, 0, 0}, {2, 0, 0}};
     nothing.triangles = {{0, 1, 2}};
     EXPECT_THAT([&] { divided(nothing, 1); },
-                ThrowsMessage<InvalidInput>(HasSubstr("none of the 1 triangles has an area")));
+                ThrowsMessage<InvalidInput>(
+                    AllOf(HasSubstr("none of the 1 triangles has an area"), HasSubstr("--scale"))));
 }
 
 TEST(MeshSites, AnInvertedBodyIsWarnedOf)
