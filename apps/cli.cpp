@@ -2,8 +2,6 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <sys/resource.h>
-#include <unistd.h>
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
@@ -22,6 +20,7 @@
 #include "apps/stage.h"
 #include "core/error.h"
 #include "core/log.h"
+#include "core/machine.h"
 #include "core/parallel.h"
 #include "core/units.h"
 
@@ -87,17 +86,6 @@ std::uint64_t whole_number(const std::string& word, const char* option, std::uin
     return value;
 }
 
-/// The smaller of the machine's memory and the process's own limit.
-double memory_of_machine()
-{
-    double bytes = static_cast<double>(::sysconf(_SC_PHYS_PAGES)) *
-                   static_cast<double>(::sysconf(_SC_PAGE_SIZE));
-    rlimit limit{};
-    if (::getrlimit(RLIMIT_AS, &limit) == 0 && limit.rlim_cur != RLIM_INFINITY)
-        bytes = std::min(bytes, static_cast<double>(limit.rlim_cur));
-    return bytes;
-}
-
 /// @param threads  receives the limit; 0 = all
 Common understood(const CommonWords& words, std::size_t& threads)
 {
@@ -108,7 +96,7 @@ Common understood(const CommonWords& words, std::size_t& threads)
     common.fix_nan = words.fix_nan;
     common.params_file = words.params;
     if (words.seed) common.seed = whole_number(*words.seed, "--seed", 0x7FFFFFFFFFFFFFFF);
-    common.memory_limit = memory_of_machine();
+    common.memory_limit = physical_memory();
     if (words.memory) {
         try {
             common.memory_limit = parse_bytes(*words.memory);

@@ -26,6 +26,9 @@ constexpr std::array<std::string_view, 2> choice_names(SunMode)
     return {"fixed", "path"};
 }
 
+/// No 24-hour mean on earth is higher than the sun's light outside the air.
+inline constexpr Range kDailyLight = between(0, 1400);
+
 /// The mesh as ground that photons fall on.
 struct PhotonGround {
     double site = 0.02;
@@ -40,12 +43,12 @@ struct PhotonGround {
               "on a mesh: longest edge of the pieces that have a climate each");
         field("sun", &PhotonGround::sun,
               "on a mesh: fixed in the south, or on its path; auto: path with weather");
-        field("open_light", &PhotonGround::open_light, "W/m^2", kNotNegative,
+        field("open_light", &PhotonGround::open_light, "W/m^2", kDailyLight,
               "with a fixed sun: its light on open level ground, 24-hour mean");
         field("sun_elevation", &PhotonGround::sun_elevation, "deg",
               Range{.lower = 0, .upper = 90, .without_lower = true},
               "with a fixed sun: its height above the horizon");
-        field("sky_light", &PhotonGround::sky_light, "W/m^2", kNotNegative,
+        field("sky_light", &PhotonGround::sky_light, "W/m^2", kDailyLight,
               "on a mesh: light of the whole sky on open level ground; auto: as the weather says, "
               "0 with a fixed sun or profile = paper");
     }
@@ -106,6 +109,15 @@ struct SiteField {
 
 /// Bytes at the peak: rays' geometry, sites, a day's photons, plants, the scene that is written.
 double mesh_memory(double sites, const light::PhotonParams& photons, int plants);
+/// Of a mesh divided into sites, with the grids of put_cells().
+/// @throws LimitExceeded  naming what to change
+void check_mesh_memory(const Scene& scene, const MeshSites& sites,
+                       const light::PhotonParams& photons, int plants, double cell,
+                       std::size_t fields, const std::string& stage, double limit);
+
+/// Photons are reflected by less than all that comes.
+/// @throws InvalidParameter  albedo > 0.95
+void check_mesh_albedo(double albedo, const std::string& stage);
 
 /// Divides a mesh into sites; tells where it is open, for nothing grows on the back of a sheet.
 MeshSites sites_of(const TriMesh& mesh, double longest_edge, const std::string& who,

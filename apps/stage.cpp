@@ -190,13 +190,13 @@ void warn_unused(Stage& stage, const std::vector<std::string>& names, const std:
                          find_param(now, name)->value_text(), why);
 }
 
-void check_memory(const std::string& who, double bytes, double limit)
+void check_memory(const std::string& who, double bytes, double limit, std::string_view instead)
 {
     if (limit > 0 && bytes > limit)
         throw LimitExceeded(
             fmt::format("{}: needs about {} of memory, the limit is {}; raise it with "
-                        "--memory or make the voxels larger",
-                        who, bytes_text(bytes), bytes_text(limit)));
+                        "--memory or {}",
+                        who, bytes_text(bytes), bytes_text(limit), instead));
 }
 
 }  // namespace sekitei::apps

@@ -152,6 +152,7 @@ std::filesystem::path frame_path(const std::filesystem::path& file, int number);
 void warn_unused(Stage& stage, const std::vector<std::string>& names, const std::string& why);
 
 /// @throws LimitExceeded  naming what is needed, the limit and the option to raise it
-void check_memory(const std::string& who, double bytes, double limit);
+void check_memory(const std::string& who, double bytes, double limit,
+                  std::string_view instead = "make the voxels larger");
 
 }  // namespace sekitei::apps

@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
@@ -15,6 +14,7 @@
 #include "core/file_output.h"
 #include "core/hash.h"
 #include "core/log.h"
+#include "core/machine.h"
 #include "grids/vdb_format.h"
 #include "grids/vdb_points.h"
 
@@ -510,12 +510,6 @@ void check_values(LeafGrid<T>& grid, const std::string& where, const std::string
             : unit.empty() ? ""
                            : " " + unit));
 }
-double physical_memory()
-{
-    return static_cast<double>(sysconf(_SC_PHYS_PAGES)) *
-           static_cast<double>(sysconf(_SC_PAGESIZE));
-}
-
 bool is_leaf_grid(const Entry& entry)
 {
     return entry.type == vdb::tree_type<float>() || entry.type == vdb::tree_type<std::int32_t>() ||

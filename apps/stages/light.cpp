@@ -241,10 +241,17 @@ private:
     /// Photons of all days at once: their mean light.
     Json run_on_mesh(Scene& scene, const StageContext& context)
     {
+        check_mesh_albedo(light_.albedo, "light");
+        std::vector<std::string> of_cells;
+        for (const Param& p : describe_params(light_))
+            if (p.name != "albedo") of_cells.push_back(p.name);
+        warn_unused(*this, of_cells, "on a mesh");
         const Progress& progress = context.progress;
         const TriMesh was = scene.meshes.at("rock");
         const MeshSites sites = sites_of(was, ground_.site, "light", progress.slice(0, 0.05));
-        check_memory("light", mesh_memory(double(sites.size()), photons_, 0), context.memory_limit);
+        constexpr std::size_t kFields = 6;
+        check_mesh_memory(scene, sites, photons_, 0, params_.cell.value_or(ground_.site), kFields,
+                          "light", context.memory_limit);
         Weather weather;
         if (choice_.weather.empty())
             weather.site = Site{};

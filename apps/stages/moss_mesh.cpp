@@ -59,8 +59,10 @@ public:
           zones_(was_, sites_, int(run.species.size()))
     {
         const Progress setup = context.progress.slice(0.03, 0.1);
-        check_memory("moss", mesh_memory(double(sites_.size()), p_.photons, p_.colony.cap),
-                     context.memory_limit);
+        check_mesh_memory(scene, sites_, p_.photons, p_.colony.cap, p_.cell.value_or(p_.land.site),
+                          mesh_moss_fields().size() + run.species.size(), "moss",
+                          context.memory_limit);
+        check_mesh_albedo(p_.climate.ground.albedo, "moss");
         const bool full = p_.climate.profile == Profile::Full;
         weather_ = weather_of_run(scene, p_, run_, context_, real_weather_);
         mode_ = sun_mode(p_.land, real_weather_);
@@ -241,7 +243,10 @@ private:
         remember(seeds, found.receivers, first_seed, int(number));
 
         // Ground, then fitness of everyone in their own light.
-        if (p_.own_energy) water_before_ = now_.water;
+        if (p_.own_energy) {
+            water_before_ = now_.water;
+            cover_before_ = now_.cover;
+        }
         ground_.advance(weather_.days[d], now_.light, now_.water, now_.cover, ground_day_,
                         progress);
         const std::vector<float> plant_fitness = fitness_of(plants),
@@ -340,7 +345,7 @@ private:
                 if (p_.own_energy) {
                     const soil::Day own =
                         ground_.day_at(site, ground_day_, double(who.light[i]), water_before_[site],
-                                       double(now_.cover[site]));
+                                       double(cover_before_[site]));
                     temperature = own.temperature;
                     humidity = own.humidity;
                 }
@@ -497,7 +502,9 @@ private:
     ZoneStatistics zones_;
     State now_;
     GroundDay ground_day_;
+    // Of the morning, when plants have an energy balance of their own.
     std::vector<double> water_before_;
+    std::vector<float> cover_before_;
     std::vector<std::vector<float>> fitness_today_;
     double lost_ = 0, emitted_ = 0;
 };

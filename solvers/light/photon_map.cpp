@@ -16,9 +16,9 @@ namespace sekitei::light {
 namespace {
 
 constexpr Stream kGather{"photons.gather"}, kSunRays{"photons.sun_rays"};
-constexpr int kLeastSunRays = 16;                             // a place
-constexpr float kSameSide = 0.5f;                             // least cosine between normals
-constexpr float kNearestLeast = 0.02f, kNearestMost = 0.20f;  // radii by photon_nearest [m]
+constexpr std::size_t kLeastSunRays = 16, kMostSunRays = 512;  // a place
+constexpr float kSameSide = 0.5f;                              // least cosine between normals
+constexpr float kNearestLeast = 0.02f, kNearestMost = 0.20f;   // radii by photon_nearest [m]
 constexpr std::size_t kGrain = 64;
 
 std::variant<CellIndex, KdTree> search_over(std::span<const Vec3f> points,
@@ -523,11 +523,25 @@ std::vector<float> beam_by_rays(const PhotonScene& scene, const Daylight& daylig
                                 std::uint64_t salt, const Progress& progress)
 {
     std::vector<float> result(receivers.size());
-    if (daylight.beams.empty()) return result;
+    struct Sun {
+        Vec3d towards;
+        double irradiance;
+    };
+    std::vector<Sun> suns;
+    std::vector<double> upto;  // summed irradiances
+    for (const auto& [towards, irradiance] : daylight.beams)
+        if (towards.z > 0 && irradiance > 0) {
+            suns.push_back({normalized(towards), irradiance});
+            upto.push_back(irradiance + (upto.empty() ? 0 : upto.back()));
+        }
+    if (suns.empty()) return result;
     const std::uint64_t key = hash2(hash2(hash2(seed, kSunRays.id), day), salt);
-    // A day's many suns need one ray each; one that stands still gets several over its disc.
-    const auto rays = static_cast<int>(std::max<std::size_t>(
-        1, (kLeastSunRays + daylight.beams.size() - 1) / daylight.beams.size()));
+    // A day's suns need one ray each; one that stands still gets several over its disc, and of
+    // those of many days each place draws some, as many from each stretch of equal light.
+    const bool drawn = suns.size() > kMostSunRays;
+    const std::size_t rays =
+        drawn ? kMostSunRays : (kLeastSunRays + suns.size() - 1) / suns.size() * suns.size();
+    const std::size_t each = drawn ? 1 : rays / suns.size();
     static const double cap = cap_of_cone(kSunRadius);
     parallel_for_range(
         receivers.size(),
@@ -537,31 +551,34 @@ std::vector<float> beam_by_rays(const PhotonScene& scene, const Daylight& daylig
                 const Vec3d n(receivers.normal[i]);
                 const std::int32_t plant = plant_of(receivers, i);
                 const std::uint64_t place = hash2(key, i);
-                std::uint64_t draw = 0;
                 double sum = 0;
-                for (const Daylight::Beam& beam : daylight.beams) {
-                    const Vec3d sun = normalized(beam.towards);
-                    if (!(sun.z > 0 && beam.irradiance > 0)) {
-                        draw += 2 * static_cast<std::uint64_t>(rays);
-                        continue;
+                for (std::size_t k = 0; k < rays; ++k) {
+                    double weight = 0, u = uniform_of_key(place, 2 * k);
+                    const double v = uniform_of_key(place, 2 * k + 1);
+                    const Sun* sun = nullptr;
+                    if (drawn) {
+                        const double light =
+                            (static_cast<double>(k) + u) / static_cast<double>(rays) * upto.back();
+                        const auto at = std::upper_bound(upto.begin(), upto.end() - 1, light);
+                        sun = &suns[static_cast<std::size_t>(at - upto.begin())];
+                        weight = upto.back() / static_cast<double>(rays);
+                        u = uniform_of_key(place, 2 * rays + k);
+                    } else {
+                        sun = &suns[k / each];
+                        weight = sun->irradiance / static_cast<double>(each);
+                        u = (static_cast<double>(k % each) + u) / static_cast<double>(each);
                     }
-                    for (int k = 0; k < rays; ++k) {
-                        const double u = (k + uniform_of_key(place, draw)) / rays,
-                                     v = uniform_of_key(place, draw + 1);
-                        draw += 2;
-                        const Vec3d towards = cap_direction(Frame(sun), cap, u, v);
-                        const double cosine = dot(n, towards);
-                        if (!(cosine > 0)) continue;
-                        Vec3f origin = scene.off_surface(Vec3d(receivers.position[i]), n);
-                        if (plant >= 0) {
-                            const auto& [centre, radius] =
-                                scene.moss()[static_cast<std::size_t>(plant)];
-                            origin = scene.off_surface(
-                                Vec3d(centre) + towards * static_cast<double>(radius), towards);
-                        }
-                        if (!scene.occluded(origin, Vec3f(towards), plant >= 0))
-                            sum += beam.irradiance * cosine / rays;
+                    const Vec3d towards = cap_direction(Frame(sun->towards), cap, u, v);
+                    const double cosine = dot(n, towards);
+                    if (!(cosine > 0)) continue;
+                    Vec3f origin = scene.off_surface(Vec3d(receivers.position[i]), n);
+                    if (plant >= 0) {
+                        const auto& [centre, radius] =
+                            scene.moss()[static_cast<std::size_t>(plant)];
+                        origin = scene.off_surface(
+                            Vec3d(centre) + towards * static_cast<double>(radius), towards);
                     }
+                    if (!scene.occluded(origin, Vec3f(towards), plant >= 0)) sum += weight * cosine;
                 }
                 result[i] = static_cast<float>(sum);
             }

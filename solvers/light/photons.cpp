@@ -1,7 +1,6 @@
 #include "solvers/light/photons.h"
 
 #include <fmt/format.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <cmath>
@@ -9,6 +8,7 @@
 #include "core/clones.h"
 #include "core/error.h"
 #include "core/log.h"
+#include "core/machine.h"
 #include "core/math.h"
 #include "core/parallel.h"
 #include "core/random.h"
@@ -429,8 +429,7 @@ private:
 /// Refuses what this machine could not hold, rather than be killed half way.
 void check_memory(double photons, const std::string& what, double bytes)
 {
-    const double there =
-        static_cast<double>(sysconf(_SC_PHYS_PAGES)) * static_cast<double>(sysconf(_SC_PAGESIZE));
+    const double there = physical_memory();
     if (bytes > there)
         throw LimitExceeded(fmt::format(
             "photons: photons = {:.6g} {}, which needs about {} of memory; this machine has {}. "
@@ -486,14 +485,17 @@ Shot follow_all(const PhotonScene& scene, std::size_t count, const Sourced& sour
     return shot;
 }
 
-std::vector<Emitted> emit_all(const Emitter& emitter, std::uint64_t& tries)
+std::vector<Emitted> emit_all(const Emitter& emitter, std::uint64_t& tries,
+                              const Progress& progress)
 {
     const auto count = static_cast<double>(emitter.count());
     check_memory(count, "are kept until all are drawn", count * sizeof(Emitted));
     std::vector<Emitted> photons(emitter.count());
+    // Few at a time: a large lamp draws thousands of directions for each.
     tries = parallel_fold(
-        photons.size(), kChunk, std::uint64_t{0},
+        photons.size(), kChunk / 16, std::uint64_t{0},
         [&](std::size_t begin, std::size_t end) {
+            progress.check();
             std::uint64_t drawn = 0;
             emitter(begin, end, &photons[begin], drawn);
             return drawn;
@@ -747,10 +749,10 @@ bool PhotonScene::occluded(Vec3f origin, Vec3f direction, bool moss_too) const
 
 std::vector<Emitted> emit(const PhotonScene& scene, const Daylight& daylight,
                           const PhotonParams& params, std::uint64_t seed, std::uint64_t day,
-                          std::uint64_t& tries)
+                          std::uint64_t& tries, const Progress& progress)
 {
     const Emitter emitter(scene, daylight, params, seed, day);
-    std::vector<Emitted> photons = emit_all(emitter, tries);
+    std::vector<Emitted> photons = emit_all(emitter, tries, progress);
     if (params.sun_light == SunLight::Square && emitter.suns() > 0) {
         // How bright a lamp's photons are is known when all of its directions are drawn.
         const float flux = emitter.lamp_flux(tries);
@@ -776,7 +778,8 @@ Shot shoot(const PhotonScene& scene, const Daylight& daylight, const PhotonParam
     Shot shot;
     if (params.sun_light == SunLight::Square) {
         std::uint64_t tries = 0;
-        const std::vector<Emitted> emitted = emit(scene, daylight, params, seed, day, tries);
+        const std::vector<Emitted> emitted =
+            emit(scene, daylight, params, seed, day, tries, progress);
         shot = trace(scene, emitted, params.indirect, seed, day, progress);
         shot.ledger.tries = tries;
     } else {

@@ -68,8 +68,8 @@ struct PhotonParams {
 
     static void describe(auto&& field)
     {
-        field("photons", &PhotonParams::photons, "", between(1, 1e9), "sent on a day");
-        field("photon_radius", &PhotonParams::photon_radius, "m", kPositive,
+        field("photons", &PhotonParams::photons, "", between(1, 1e18), "sent on a day");
+        field("photon_radius", &PhotonParams::photon_radius, "m", between(1e-4, 100),
               "within which photons count for a place");
         field("photon_nearest", &PhotonParams::photon_nearest, "", between(0, 100'000),
               "the radius is the distance of this photon, 2 to 20 cm; 0: one radius everywhere");
@@ -232,9 +232,10 @@ struct Shot {
 /// @param tries  of Ledger
 /// @throws InvalidParameter  params; a lamp too near
 /// @throws InvalidInput      daylight that is negative or not a number
+/// @throws Cancelled         from `progress`
 std::vector<Emitted> emit(const PhotonScene& scene, const Daylight& daylight,
                           const PhotonParams& params, std::uint64_t seed, std::uint64_t day,
-                          std::uint64_t& tries);
+                          std::uint64_t& tries, const Progress& progress = {});
 
 /// Follows photons: each hit is stored, then the photon is reflected diffusely with probability
 /// albedo or absorbed. Flux never changes.

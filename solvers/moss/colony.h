@@ -29,7 +29,8 @@ struct ColonyParams {
 
     static void describe(auto&& field)
     {
-        field("size", &ColonyParams::size, "m", kPositive, "s_full, diameter of a grown moss");
+        field("size", &ColonyParams::size, "m", between(1e-3, 1),
+              "s_full, diameter of a grown moss");
         field("cap", &ColonyParams::cap, "", between(1, 1e8), "most mosses alive at once");
         field("spores_per_day", &ColonyParams::spores_per_day, "", between(0, 1000),
               "shed by each moss that is ripe and growing");

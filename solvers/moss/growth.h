@@ -91,7 +91,8 @@ struct Rules {
         field("light_gate", &Rules::light_gate, "nothing grows in the dark");
         field("light_compensation", &Rules::light_compensation, "W/m^2", kPositive,
               "light Sc at which the gate 1 - exp(-S / Sc) is 63 %");
-        field("growth_rate", &Rules::growth_rate, "", kPositive,
+        field("growth_rate", &Rules::growth_rate, "",
+              Range{.lower = 0, .upper = 100, .without_lower = true},
               "multiplies every species' rate; 0.02 is natural, 1 is the paper's clock");
         field("growth_cap", &Rules::growth_cap, "", kPositive, "largest growth");
         field("gemma_step", &Rules::gemma_step, "", kPositive, "growth from one gemma to the next");

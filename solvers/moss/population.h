@@ -40,13 +40,15 @@ struct Propagation {
     int initial_count = 50;
     double initial_growth = 0.2;
 
+    static constexpr Range kUpTo100{.lower = 0, .upper = 100, .without_lower = true};
+
     static void describe(auto&& field)
     {
-        field("gemma_throw", &Propagation::gemma_throw, "m", kPositive,
+        field("gemma_throw", &Propagation::gemma_throw, "m", kUpTo100,
               "k, how far a gemma is thrown; auto: 1.5 sites");
-        field("adhesion", &Propagation::adhesion, "m", kPositive,
+        field("adhesion", &Propagation::adhesion, "m", kUpTo100,
               "distance from the surface within which a seed sticks; auto: half of gemma_throw");
-        field("spore_throw", &Propagation::spore_throw, "m", kPositive,
+        field("spore_throw", &Propagation::spore_throw, "m", kUpTo100,
               "l, how far a spore is thrown");
         field("spore_cone", &Propagation::spore_cone,
               "spores leave within 45 degrees of the surface's normal; both: or of its opposite");
@@ -57,7 +59,7 @@ struct Propagation {
               "days between spores from elsewhere, species in turn; 0: never");
         field("initial_count", &Propagation::initial_count, "", kNotNegative,
               "mosses of each species on day 0");
-        field("initial_growth", &Propagation::initial_growth, "", kPositive, "their growth");
+        field("initial_growth", &Propagation::initial_growth, "", kUpTo100, "their growth");
     }
 };
 /// @throws InvalidParameter

@@ -702,6 +702,51 @@ TEST(MeshMoss, OwnEnergyIsTheSoilsDayInThePlantsLight)
     EXPECT_GT(otherwise, 5);
 }
 
+TEST(MeshMoss, OwnEnergyHasTheGroundOfTheMorning)
+{
+    // On humus that many settlers cover, day 8 begins with the water and the cover of day 7.
+    const Habitat habitat;
+    Json own{{"days", 7},
+             {"initial_count", 300},
+             {"runoff", false},
+             {"sky_light", 10},
+             {"rain_shelter", false},
+             {"rainfall", 0},
+             {"own_energy", true},
+             {"species", "bryum"},
+             {"site", 0.2},
+             {"photon_radius", 0.05}};
+    const Scene before = grown(slab(), habitat, own);
+    own["days"] = 8;
+    const Scene after = grown(slab(), habitat, own);
+    const moss::Species bryum = moss::preset_species()[0];
+    moss::Rules rules;
+    rules.light_gate = true;
+    int changed = 0;
+    for (std::size_t i = 0; i < living(after); ++i) {
+        const auto site = static_cast<std::size_t>(-1 - of_moss<std::int64_t>(after, "host")[i]);
+        if (site >= site_values(after, "soil_h").size()) continue;  // stands on another moss
+        const double light = double(of_moss<float>(after, "S")[i]);
+        auto suit = [&](const Scene& ground) {
+            const soil::Day day =
+                soil::day({.light = light,
+                           .temperature = 288.15,
+                           .humidity = 0.73,
+                           .rain = 0,
+                           .wind = 0.2,
+                           .sky_view = double(site_values(after, "sky_view")[site]),
+                           .cover = double(site_values(ground, "moss_cover")[site]),
+                           .depth = double(site_values(after, "soil_h")[site]),
+                           .water = double(site_values(ground, "soil_water")[site])},
+                          {.sunshine = 0.75, .pressure = 1013}, soil::preset_soils()[0], {});
+            return moss::fitness(bryum, rules, day.temperature, day.humidity, light).total();
+        };
+        EXPECT_NEAR(of_moss<float>(after, "suit")[i], suit(before), 2e-5);
+        changed += std::abs(suit(before) - suit(after)) > 1e-4;
+    }
+    EXPECT_GT(changed, 20);
+}
+
 // ---- Wind, geology ----------------------------------------------------------------------------
 
 TEST(MeshMoss, TheWindOfCellsReachesTheSites)

@@ -479,10 +479,22 @@ class Broken(MeshTest):
         self.fine(self.mesh("large.ply", *slab(1e2)), "--site", "10m", "--photon-radius", "20m", "--cell", "2m")
 
     def test_29_photons(self):
-        for value in ("0", "-1", "1e15", "1000T"):
+        for value in ("0", "-1", "1e19"):
             self.both(USAGE, ["photons"], "rock.ply", "--photons", value)
-        self.refuse(LIMIT, ["light", "--memory"], "light", "rock.ply", "--site", "10cm", "--photons", "1G", "--memory", "1G", "-o", "x.ply")
+        for value in ("1e15", "1000G"):
+            self.both(LIMIT, ["photons"], "rock.ply", "--photons", value)
+        self.refuse(LIMIT, ["light", "--memory", "photons"], "light", "rock.ply", "--site", "10cm", "--photons", "1G", "--memory", "1G", "-o", "x.ply")
         self.fine("rock.ply", "--photons", "1")
+
+    def test_numbers_that_no_moss_or_light_has(self):
+        for option, value in (("--open-light", "1e300"), ("--sky-light", "1e4"), ("--photon-radius", "1e9"), ("--albedo", "0.97")):
+            self.both(USAGE, [option[2:].replace("-", "_")], "rock.ply", option, value)
+        for option, value in (("--size", "1e9"), ("--growth-rate", "1e9"), ("--spore-throw", "1e9"), ("--initial-growth", "1e9")):
+            self.refuse(USAGE, [option[2:].replace("-", "_")], "moss", "rock.ply", *MOSS, option, value, "-o", "x.vdb")
+
+    def test_voxels_too_small_for_this_machine_are_refused_at_once(self):
+        for value in ("1e-7", "1e-4"):
+            self.both(LIMIT, ["cell", "--memory"], "rock.ply", "--cell", value, "--memory", "500M")
 
     def test_30_sun_and_place(self):
         self.write("night.csv", year(datetime.date(2021, 12, 20), 85))

@@ -453,6 +453,34 @@ TEST(PhotonMap, ShadowRaysSeeTheSunSharply)
     EXPECT_NEAR(beam[roof::BackFloor], 0, 1e-3);
 }
 
+TEST(PhotonMap, OfManyDaysSunsEachPlaceDrawsSome)
+{
+    // 4000 suns between the horizon and the zenith, in the east until noon, brighter when high; a
+    // wall in the west takes the afternoon. Exact: the sum over those that the place sees.
+    Daylight year;
+    double open = 0, morning = 0;
+    for (int k = 0; k < 4000; ++k) {
+        const double angle = pi * (k + 0.5) / 4000;
+        const Daylight::Beam beam{{std::cos(angle), 0, std::sin(angle)}, 0.1 * std::sin(angle)};
+        year.beams.push_back(beam);
+        open += beam.irradiance * std::sin(angle);
+        if (angle < pi / 2) morning += beam.irradiance * std::sin(angle);
+    }
+    const TriMesh mesh = roof::joined({shapes::box({-1, -1, -0.1}, {1, 1, 0}),
+                                       shapes::box({-1.1, -400, -0.1}, {-1.05, 400, 900})});
+    const PhotonScene scene(mesh, std::vector<float>(mesh.triangles.size(), 0.2f), 0.2, 0, {});
+    Places places;
+    for (int i = 0; i < 400; ++i) places.add({-1 + 0.001 * i, -0.9 + 0.004 * i, 0}, {0, 0, 1});
+    const Receivers receivers{places.position, places.normal, {}, {}};
+    const std::vector<float> beam = beam_by_rays(scene, year, receivers, 3, 1, 0, {});
+    double mean = 0;
+    for (const float b : beam) {
+        EXPECT_NEAR(b, morning, 0.02 * open);  // 512 rays, in order of the day
+        mean += b / 400.0;
+    }
+    EXPECT_NEAR(mean, morning, 2e-3 * open);
+}
+
 TEST(PhotonMap, ShadowRaysSeePartOfTheSunsDisc)
 {
     // Under the edge of a plate 10 m up: visible at t radii of the disc from the edge is the part

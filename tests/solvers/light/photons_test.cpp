@@ -147,6 +147,24 @@ TEST(Photons, CarryThePowerOfTheirSource)
     EXPECT_NEAR(static_cast<double>(tries), 100'000 * 90.0 / (90 + 120), 1);
 }
 
+TEST(Photons, DrawingDirectionsCanBeCancelled)
+{
+    // The largest lamp there may be: ten thousand directions for a photon.
+    const PhotonScene scene = scene_of(plate(0.5), 0);
+    PhotonParams lamp{.photons = 1 << 20,
+                      .sun_light = SunLight::Square,
+                      .square_half = 99 * scene.radius(),
+                      .square_distance = 10};
+    const std::atomic<bool> stop{true};
+    const Progress cancelled({}, &stop);
+    std::uint64_t tries = 0;
+    EXPECT_THROW(emit(scene, overhead(150), lamp, 1, 1, tries, cancelled), Cancelled);
+    EXPECT_EQ(tries, 0u);
+    lamp.square_half = 101 * scene.radius();
+    EXPECT_THAT([&] { emit(scene, overhead(150), lamp, 1, 1, tries); },
+                ThrowsMessage<InvalidParameter>(HasSubstr("square_half")));
+}
+
 TEST(Photons, LobesHaveTheirMeans)
 {
     constexpr Stream kDraw{"photons_test.lobes"};
@@ -408,7 +426,7 @@ TEST(Photons, NameWhatIsWrong)
     };
     wrong({.photons = 0}, "photons = 0, must be 1 to");
     wrong({.photons = -3}, "photons = -3");
-    wrong({.photon_radius = 0}, "photon_radius = 0 m, must be > 0");
+    wrong({.photon_radius = 0}, "photon_radius = 0 m, must be 0.0001 to 100");
     wrong({.photon_radius = NAN}, "photon_radius = nan");
     const TriMesh mesh = plate(1);
     for (const float albedo : {-0.1f, 0.96f, NAN})

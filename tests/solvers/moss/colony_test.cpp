@@ -741,7 +741,7 @@ TEST(Colony, BadInputIsNamedAndNothingChanges)
 {
     const World& w = world();
     EXPECT_THAT([] { validate(ColonyParams{.size = 0}); },
-                ThrowsMessage<InvalidParameter>("moss: size = 0 m, must be > 0"));
+                ThrowsMessage<InvalidParameter>("moss: size = 0 m, must be 0.001 to 1"));
     EXPECT_THAT([] { validate(ColonyParams{.cap = 0}); },
                 ThrowsMessage<InvalidParameter>(HasSubstr("moss: cap = 0")));
     EXPECT_THAT([] { validate(ColonyParams{.spores_per_day = -1}); },
