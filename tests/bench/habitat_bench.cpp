@@ -84,7 +84,7 @@ struct Habitat {
           landing(scene.floats("surface_sdf"), cells),
           population(moss::first_settlers(community, surface)),
           water(climate.ground().initial_water()),
-          means(climate),
+          means(climate.ground()),
           fitness(3, std::vector<float>(cells.size())),
           mean_fitness(fitness)
     {
