@@ -107,6 +107,25 @@ private:
     double inverse_;  ///< voxels a metre
 };
 
+/// The links of n sites, in their order: f(i, feet, scratch, links) adds those of site i. `scratch`
+/// comes empty, with the memory that the sites before took.
+template <class Scratch, class F>
+std::vector<std::vector<Link>> links_of_sites(std::size_t n, const Feet& feet,
+                                              const Progress& progress, F&& f)
+{
+    std::vector<std::vector<Link>> parts((n + kChunk - 1) / kChunk);
+    parallel_for(parts.size(), [&](std::size_t part) {
+        progress.check();
+        Feet own = feet;
+        std::vector<Scratch> scratch;
+        for (std::size_t i = part * kChunk; i < std::min(n, (part + 1) * kChunk); ++i) {
+            scratch.clear();
+            f(i, own, scratch, parts[part]);
+        }
+    });
+    return parts;
+}
+
 /// Turns links, ordered by target, into rows whose weights sum to 1.
 SurfaceTransfer rows_of(const std::vector<std::vector<Link>>& parts, std::size_t targets,
                         std::size_t sources)
@@ -205,41 +224,34 @@ SurfaceTransfer cells_to_sites(const SurfaceCells& cells, const MeshSites& sites
                                const Progress& progress)
 {
     const std::size_t n = sites.size();
-    const Feet feet(cells);
-    std::vector<std::vector<Link>> parts((n + kChunk - 1) / kChunk);
-    parallel_for(parts.size(), [&](std::size_t part) {
-        progress.check();
-        Feet own = feet;
-        std::vector<Share> shares;
-        for (std::size_t i = part * kChunk; i < std::min(n, (part + 1) * kChunk); ++i) {
-            const Vec3d p = cells.transform.voxels(Vec3d(sites.position[i]));
-            const Vec3d normal(sites.normal[i]);
-            if (!own.near(p)) continue;
-            // Two directions along the surface.
-            const Vec3d aside = std::abs(normal.x) < 0.6 ? Vec3d(1, 0, 0) : Vec3d(0, 1, 0);
-            const Vec3d along = normalized(cross(normal, aside)), across = cross(normal, along);
-            shares.clear();
-            own.around(p, normal, 2, -1, kReach,
-                       [&](std::uint32_t cell, Vec3d foot, double d, double agree) {
-                           if (d >= kReach) return;
-                           const Vec3d away = foot - p;
-                           shares.push_back({cell, (1 - d / kReach) * agree, dot(away, along),
-                                             dot(away, across)});
-                       });
-            if (shares.empty()) {
-                const std::uint32_t nearest =
-                    own.nearest(p, normal, kFarthest, [](std::uint32_t) { return true; });
-                if (nearest == kNone) continue;
-                shares.push_back({nearest, 1, 0, 0});
-            } else
-                balance(shares);
-            std::sort(shares.begin(), shares.end(),
-                      [](const Share& a, const Share& b) { return a.cell < b.cell; });
-            for (const Share& s : shares)
-                if (s.weight > 0)
-                    parts[part].push_back({static_cast<std::uint32_t>(i), s.cell, s.weight});
-        }
-    });
+    const auto add_links = [&](std::size_t i, Feet& feet, std::vector<Share>& shares,
+                               std::vector<Link>& links) {
+        const Vec3d p = cells.transform.voxels(Vec3d(sites.position[i]));
+        const Vec3d normal(sites.normal[i]);
+        if (!feet.near(p)) return;
+        // Two directions along the surface.
+        const Vec3d aside = std::abs(normal.x) < 0.6 ? Vec3d(1, 0, 0) : Vec3d(0, 1, 0);
+        const Vec3d along = normalized(cross(normal, aside)), across = cross(normal, along);
+        feet.around(p, normal, 2, -1, kReach,
+                    [&](std::uint32_t cell, Vec3d foot, double d, double agree) {
+                        if (d >= kReach) return;
+                        const Vec3d away = foot - p;
+                        shares.push_back(
+                            {cell, (1 - d / kReach) * agree, dot(away, along), dot(away, across)});
+                    });
+        if (shares.empty()) {
+            const std::uint32_t nearest =
+                feet.nearest(p, normal, kFarthest, [](std::uint32_t) { return true; });
+            if (nearest == kNone) return;
+            shares.push_back({nearest, 1, 0, 0});
+        } else
+            balance(shares);
+        std::sort(shares.begin(), shares.end(),
+                  [](const Share& a, const Share& b) { return a.cell < b.cell; });
+        for (const Share& s : shares)
+            if (s.weight > 0) links.push_back({static_cast<std::uint32_t>(i), s.cell, s.weight});
+    };
+    const auto parts = links_of_sites<Share>(n, Feet(cells), progress, add_links);
     progress.update(1);
     return rows_of(parts, n, cells.size());
 }
@@ -249,50 +261,44 @@ SurfaceTransfer sites_to_cells(const MeshSites& sites, const SurfaceCells& cells
 {
     // Give each piece of a site to the nearest cell.
     const std::size_t n = sites.size();
+    const auto add_links = [&](std::size_t i, Feet& feet, std::vector<Link>& pieces,
+                               std::vector<Link>& links) {
+        const Vec3d normal(sites.normal[i]);
+        const auto give = [&](const auto& self, Vec3d a, Vec3d b, Vec3d c, double area) -> void {
+            Bounds box;
+            for (const Vec3d& corner : {a, b, c}) box.add(corner);
+            if (!feet.near(box)) return;
+            const double longest =
+                std::max({dot(b - a, b - a), dot(c - b, c - b), dot(a - c, a - c)});
+            if (longest > 1) {
+                const Vec3d ab = (a + b) * 0.5, bc = (b + c) * 0.5, ca = (c + a) * 0.5;
+                self(self, a, ab, ca, area / 4);
+                self(self, ab, b, bc, area / 4);
+                self(self, ca, bc, c, area / 4);
+                self(self, ab, bc, ca, area / 4);
+                return;
+            }
+            const std::uint32_t cell =
+                feet.nearest((a + b + c) / 3.0, normal, kReach, [](std::uint32_t) { return true; });
+            if (cell != kNone) pieces.push_back({cell, static_cast<std::uint32_t>(i), area});
+        };
+        const auto& [a, b, c] = sites.mesh.triangles[i];
+        const auto corner = [&](std::uint32_t v) {
+            return cells.transform.voxels(Vec3d(sites.mesh.vertices[v]));
+        };
+        give(give, corner(a), corner(b), corner(c), double(sites.area[i]));
+        // Pieces of a site that fall to one cell are one.
+        std::stable_sort(pieces.begin(), pieces.end(),
+                         [](const Link& x, const Link& y) { return x.target < y.target; });
+        const std::size_t before = links.size();
+        for (const Link& piece : pieces)
+            if (links.size() > before && links.back().target == piece.target)
+                links.back().weight += piece.weight;
+            else
+                links.push_back(piece);
+    };
     const Feet feet(cells);
-    std::vector<std::vector<Link>> parts((n + kChunk - 1) / kChunk);
-    parallel_for(parts.size(), [&](std::size_t part) {
-        progress.check();
-        Feet own = feet;
-        std::vector<Link> links;
-        for (std::size_t i = part * kChunk; i < std::min(n, (part + 1) * kChunk); ++i) {
-            const Vec3d normal(sites.normal[i]);
-            links.clear();
-            const auto give = [&](const auto& self, Vec3d a, Vec3d b, Vec3d c,
-                                  double area) -> void {
-                Bounds box;
-                for (const Vec3d& corner : {a, b, c}) box.add(corner);
-                if (!own.near(box)) return;
-                const double longest =
-                    std::max({dot(b - a, b - a), dot(c - b, c - b), dot(a - c, a - c)});
-                if (longest > 1) {
-                    const Vec3d ab = (a + b) * 0.5, bc = (b + c) * 0.5, ca = (c + a) * 0.5;
-                    self(self, a, ab, ca, area / 4);
-                    self(self, ab, b, bc, area / 4);
-                    self(self, ca, bc, c, area / 4);
-                    self(self, ab, bc, ca, area / 4);
-                    return;
-                }
-                const std::uint32_t cell = own.nearest((a + b + c) / 3.0, normal, kReach,
-                                                       [](std::uint32_t) { return true; });
-                if (cell != kNone) links.push_back({cell, static_cast<std::uint32_t>(i), area});
-            };
-            const auto& [a, b, c] = sites.mesh.triangles[i];
-            const auto corner = [&](std::uint32_t v) {
-                return cells.transform.voxels(Vec3d(sites.mesh.vertices[v]));
-            };
-            give(give, corner(a), corner(b), corner(c), double(sites.area[i]));
-            // Pieces of a site that fall to one cell are one.
-            std::stable_sort(links.begin(), links.end(),
-                             [](const Link& x, const Link& y) { return x.target < y.target; });
-            const std::size_t begin = parts[part].size();
-            for (const Link& link : links)
-                if (parts[part].size() > begin && parts[part].back().target == link.target)
-                    parts[part].back().weight += link.weight;
-                else
-                    parts[part].push_back(link);
-        }
-    });
+    auto parts = links_of_sites<Link>(n, feet, progress, add_links);
     progress.update(0.8);
 
     // Order the links by cell; within a cell they stay in the order of sites.

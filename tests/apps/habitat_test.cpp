@@ -10,7 +10,8 @@
 #include "core/error.h"
 #include "core/math.h"
 #include "core/parallel.h"
-#include "tests/apps/climate_scenes.h"
+#include "tests/apps/mesh_scenes.h"
+#include "tests/support/stopped.h"
 
 namespace sekitei::apps {
 namespace {
@@ -31,15 +32,6 @@ Sky moist(double light)
             .sunshine = 4,
             .global = light,
             .diffuse = 0.6 * light};
-}
-
-/// Hashes of all grids and points.
-std::map<std::string, std::string> hashes(const Scene& scene)
-{
-    std::map<std::string, std::string> all;
-    for (const auto& [name, grid] : scene.grids) all[name] = content_hash(grid);
-    for (const auto& [name, points] : scene.points) all["points " + name] = content_hash(points);
-    return all;
 }
 
 // ---- Moss where its causes are ----------------------------------------------------------------
@@ -209,9 +201,9 @@ TEST(HabitatChain, GivesTheSameBytesOnOneAndTwoThreads)
         const Scene scene =
             lantern_chain(habitat, "pond", {{"species", kThree}}, habitat.context());
         if (threads == 1)
-            first = hashes(scene);
+            first = hashes_of(scene);
         else
-            EXPECT_EQ(hashes(scene), first);
+            EXPECT_EQ(hashes_of(scene), first);
         EXPECT_GT(cover(scene), 0.01);
     }
     EXPECT_GT(first.size(), 40u);
@@ -231,20 +223,6 @@ TEST(HabitatChain, TheSeedMovesMossButNotClimate)
 }
 
 // ---- Checkpoints ------------------------------------------------------------------------------
-
-/// A context that stops its stage once its progress has passed `fraction`.
-struct Stopped {
-    explicit Stopped(StageContext c, double fraction) : context(std::move(c))
-    {
-        context.progress = Progress(
-            [this, fraction](const std::string&, double now) {
-                if (now > fraction) stop = true;
-            },
-            &stop);
-    }
-    std::atomic<bool> stop = false;
-    StageContext context;
-};
 
 class MossCheckpoint : public ::testing::Test {
 protected:
@@ -282,7 +260,7 @@ TEST_F(MossCheckpoint, AnInterruptedRunGoesOnToTheSameBytes)
     std::atomic<bool> never = false;
     context.progress = Progress([&](const std::string&, double) { ++reports; }, &never);
     run(resumed, "moss", params("moss.checkpoint"), context);
-    EXPECT_EQ(hashes(resumed), hashes(whole));
+    EXPECT_EQ(hashes_of(resumed), hashes_of(whole));
     EXPECT_LT(reports, 40) << "it lived all 75 days once more";
 }
 
@@ -300,7 +278,7 @@ TEST_F(MossCheckpoint, ARecipesOwnIsRemovedOnceTheResultIsThere)
     run(resumed, "moss", params(""), context);
     EXPECT_FALSE(std::filesystem::exists(context.checkpoint));
     run(whole, "moss", params(""), habitat.context());
-    EXPECT_EQ(hashes(resumed), hashes(whole));
+    EXPECT_EQ(hashes_of(resumed), hashes_of(whole));
 }
 
 TEST_F(MossCheckpoint, OfAnotherRunIsRefusedAndSaysWhatDiffers)
@@ -309,10 +287,10 @@ TEST_F(MossCheckpoint, OfAnotherRunIsRefusedAndSaysWhatDiffers)
     auto refused = [&](const Scene& from, const Json& values, std::uint64_t seed,
                        const ::testing::Matcher<std::string>& words) {
         Scene scene = from;
-        const auto before = hashes(scene);
+        const auto before = hashes_of(scene);
         EXPECT_THAT([&] { run(scene, "moss", values, habitat.context(seed)); },
                     ThrowsMessage<InvalidInput>(words));
-        EXPECT_EQ(hashes(scene), before);
+        EXPECT_EQ(hashes_of(scene), before);
     };
     const Json same = params("moss.checkpoint");
     refused(start, same, 8,
@@ -363,7 +341,7 @@ TEST(WindCheckpoint, AnInterruptedRunGoesOnToTheSameBytes)
     ASSERT_TRUE(std::filesystem::exists(context.checkpoint));
     const std::string bytes = read_file(context.checkpoint);
     run(resumed, "wind", kQuickWind, context);
-    EXPECT_EQ(hashes(resumed), hashes(whole));
+    EXPECT_EQ(hashes_of(resumed), hashes_of(whole));
     EXPECT_FALSE(std::filesystem::exists(context.checkpoint));
 
     // One that is damaged, or of other parameters, is refused.
@@ -642,17 +620,17 @@ TEST(HabitatFrames, AreScenesAtTheirDays)
     std::map<int, std::map<std::string, std::string>> frames;
     StageContext context = habitat.context();
     context.frame = [&](int number, const Scene& scene) {
-        EXPECT_TRUE(frames.emplace(number, hashes(scene)).second);
+        EXPECT_TRUE(frames.emplace(number, hashes_of(scene)).second);
     };
     Scene scene = start;
     run(scene, "moss", {{"species", "bryum"}, {"every", 10}}, context);
     std::vector<int> days;
     for (const auto& [day, frame] : frames) days.push_back(day);
     EXPECT_THAT(days, ElementsAre(10, 20, 25));
-    EXPECT_EQ(frames.at(25), hashes(scene));
+    EXPECT_EQ(frames.at(25), hashes_of(scene));
     Scene shorter = start;
     run(shorter, "moss", {{"species", "bryum"}, {"days", 20}}, habitat.context());
-    EXPECT_EQ(frames.at(20), hashes(shorter));
+    EXPECT_EQ(frames.at(20), hashes_of(shorter));
     EXPECT_NE(frames.at(10), frames.at(20));
 }
 

@@ -15,6 +15,7 @@
 #include "solvers/soil/mesh_depth.h"
 #include "tests/apps/mesh_scenes.h"
 #include "tests/support/roof.h"
+#include "tests/support/stopped.h"
 
 namespace sekitei::apps {
 namespace {
@@ -314,20 +315,6 @@ TEST(MeshMoss, VertexAttributesAreLinearOverEachFace)
 }
 
 // ---- Checkpoints ------------------------------------------------------------------------------
-
-/// A context that stops its stage once its progress has passed `fraction`.
-struct Stopped {
-    explicit Stopped(StageContext c, double fraction) : context(std::move(c))
-    {
-        context.progress = Progress(
-            [this, fraction](const std::string&, double now) {
-                if (now > fraction) stop = true;
-            },
-            &stop);
-    }
-    std::atomic<bool> stop = false;
-    StageContext context;
-};
 
 class MeshCheckpoint : public ::testing::Test {
 protected:

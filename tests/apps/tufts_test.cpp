@@ -16,23 +16,16 @@
 #include "core/mesh_io.h"
 #include "core/random.h"
 #include "solvers/rays/embree.h"
+#include "tests/support/tufts.h"
 
 namespace sekitei::render {
 namespace {
 
-using testing::HasSubstr;
-using testing::ThrowsMessage;
+using ::testing::HasSubstr;
+using ::testing::ThrowsMessage;
+using namespace render::testing;
 
-const std::vector<std::string> kSpecies{"bryum", "hypnum", "polytrichum", "grimmia"};
 const std::vector<std::string> kKinds{"bryum", "hypnum", "polytrichum", "grimmia", "another"};
-
-/// Turns +y to +z, then about z.
-std::array<float, 4> upright(double yaw)
-{
-    const double s = math::sin(yaw / 2), c = math::cos(yaw / 2), h = std::sqrt(0.5);
-    return {static_cast<float>(h * c), static_cast<float>(h * s), static_cast<float>(h * s),
-            static_cast<float>(h * c)};
-}
 
 /// Calls f with every model in every level and density.
 template <class F>
@@ -219,20 +212,6 @@ TriMesh grown(const Tuft& t, const TuftShape& shape, double size)
     return mesh;
 }
 
-std::vector<Tuft> scattered(int count)
-{
-    std::vector<Tuft> tufts;
-    constexpr Stream kWhere{"test.where"};
-    for (int i = 0; i < count; ++i) {
-        const auto k = static_cast<std::uint64_t>(i);
-        tufts.push_back(
-            {Vec3d(0.3 * uniform01(1, kWhere, k, 0), 0.2 * uniform01(1, kWhere, k, 1), 0.7),
-             upright(6.28 * uniform01(1, kWhere, k, 2)),
-             static_cast<float>(0.4 + 0.6 * uniform01(1, kWhere, k, 3)), 1 + i % 4});
-    }
-    return tufts;
-}
-
 TEST(Tufts, RaysMeetCopiesWhereTheyMeetTheSameTrianglesUncopied)
 {
     constexpr double kSize = 0.037;
@@ -348,9 +327,7 @@ struct Seen {
 Seen look_at(const std::vector<Tuft>& plants, double elevation, int lod = 0, int samples = 4)
 {
     const Tufts tufts(plants, kSpecies, kSize, 3, at_level(lod));
-    TriMesh mesh;
-    mesh.vertices = {{-1, -1, 0}, {1, -1, 0}, {1, 1, 0}, {-1, 1, 0}};
-    mesh.triangles = {{0, 1, 2}, {0, 2, 3}};
+    const TriMesh mesh = plane(1, 0);
     const rays::TriangleScene rays(mesh.vertices, mesh.triangles, "test");
     const std::vector<Vec3f> normals(6, Vec3f(0, 0, 1));
     const PlainLook grey(Vec3f(0.3f), Vec3f(0));

@@ -19,6 +19,7 @@
 #include "solvers/moss/colony.h"
 #include "solvers/soil/soil.h"
 #include "tests/bench/measure.h"
+#include "tests/bench/soil_sites.h"
 
 namespace {
 
@@ -107,22 +108,15 @@ void measure(const Case& c, const MeshSites& sites)
 
     // The soil of the same sites.
     const std::size_t n = sites.size();
-    std::vector<double> water(n, 2.0);
-    const std::vector<double> rain(n, 3.0);
-    const std::vector<float> air(n, 288), light(n, 60), wind(n, 0.2F), sky(n, 1), cover(n, 0.4F),
-        depth(n, 30);
-    const soil::Inputs inputs{.water = water,
-                              .light = light,
-                              .temperature = 288.5F,
-                              .humidity = 0.8F,
-                              .rain = rain,
-                              .wind = wind,
-                              .sky_view = sky,
-                              .cover = cover,
-                              .depth = depth,
-                              .soil = {},
-                              .soils = std::span(soil::preset_soils()).first(1),
-                              .air = {0.5, 1013, {}}};
+    const std::vector<float> air(n, 288), sky(n, 1);
+    const bench::SoilSites ground{.water = std::vector<double>(n, 2.0),
+                                  .rain = std::vector<double>(n, 3.0),
+                                  .light = std::vector<float>(n, 60),
+                                  .wind = std::vector<float>(n, 0.2F),
+                                  .sky = sky,
+                                  .cover = std::vector<float>(n, 0.4F),
+                                  .depth = std::vector<float>(n, 30)};
+    const soil::Inputs inputs = ground.inputs();
     const std::vector<float> capacity = moss::cover_capacity(c.params, sites);
     soil::Result soil_day;
     struct Row {

@@ -5,8 +5,6 @@
 #include <openvdb/openvdb.h>
 #include <openvdb/tools/VolumeToMesh.h>
 
-#include <algorithm>
-#include <chrono>
 #include <vector>
 
 #include "core/hash.h"
@@ -18,6 +16,7 @@ namespace {
 
 using namespace sekitei;
 using bench::median;
+using bench::seconds_of;
 
 constexpr int kEdge = 300;
 
@@ -65,14 +64,6 @@ openvdb::FloatGrid::Ptr to_openvdb(const sekitei::FloatGrid& grid)
     return out;
 }
 
-template <class F>
-double seconds(F&& f)
-{
-    const auto begin = std::chrono::steady_clock::now();
-    f();
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-}
-
 }  // namespace
 
 int main()
@@ -90,8 +81,8 @@ int main()
         std::vector<openvdb::Vec4I> quads;
         std::vector<openvdb::Vec3I> triangles;
         for (int repeat = 0; repeat < 5; ++repeat) {
-            own.push_back(seconds([&] { mesh = marching_tetrahedra(rock, 0.5, Progress()); }));
-            other.push_back(seconds(
+            own.push_back(seconds_of([&] { mesh = marching_tetrahedra(rock, 0.5, Progress()); }));
+            other.push_back(seconds_of(
                 [&] { openvdb::tools::volumeToMesh(*peer, points, triangles, quads, 0.5, 0.0); }));
         }
         Hasher hasher;

@@ -4,25 +4,25 @@
 
 #include <fmt/format.h>
 
-#include <algorithm>
-#include <chrono>
+#include <cmath>
+#include <cstdint>
 #include <functional>
 #include <string>
 #include <vector>
 
-#include "core/hash.h"
 #include "core/parallel.h"
 #include "core/solar_day.h"
 #include "solvers/light/light.h"
 #include "solvers/rays/embree.h"
 #include "tests/bench/measure.h"
+#include "tests/bench/raw_scene.h"
 #include "tests/support/lantern.h"
 
 namespace {
 
 using namespace sekitei;
 using bench::hash_of;
-using bench::seconds_of;
+using bench::median;
 
 /// A bare loop: the rays of the same directions into the front of each site, as Embree's manual
 /// writes it. Returns how many rays.
@@ -37,23 +37,7 @@ double raw_rays(RTCScene scene, const std::vector<Vec3f>& directions, const ligh
             const Vec3f o(sites.origin[i]), n = sites.normal[i];
             for (const Vec3f& d : directions) {
                 if (dot(n, d) <= 0) continue;
-                RTCRay ray{};
-                ray.org_x = o.x;
-                ray.org_y = o.y;
-                ray.org_z = o.z;
-                ray.dir_x = d.x;
-                ray.dir_y = d.y;
-                ray.dir_z = d.z;
-                ray.tfar = INFINITY;
-                ray.mask = 0xFFFFFFFFu;
-#if RTC_VERSION_MAJOR >= 4
-                rtcOccluded1(scene, &ray, nullptr);
-#else
-                RTCIntersectContext context;
-                rtcInitIntersectContext(&context);
-                rtcOccluded1(scene, &context, &ray);
-#endif
-                hidden[i] += ray.tfar < 0;
+                hidden[i] += rays::any_hit(scene, rays::ray_of(o, d, 0, INFINITY));
                 ++asked[i];
             }
         },
@@ -62,34 +46,6 @@ double raw_rays(RTCScene scene, const std::vector<Vec3f>& directions, const ligh
     for (const std::uint32_t a : asked) sum += a;
     return sum;
 }
-
-/// The same scene without the wrapper.
-struct RawScene {
-    RTCDevice device = rtcNewDevice(nullptr);
-    RTCScene scene = rtcNewScene(device);
-    explicit RawScene(const TriMesh& mesh)
-    {
-        RTCGeometry g = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
-        auto* points = static_cast<Vec3f*>(rtcSetNewGeometryBuffer(
-            g, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, sizeof(Vec3f), mesh.vertices.size()));
-        std::ranges::copy(mesh.vertices, points);
-        auto* corners = static_cast<std::array<std::uint32_t, 3>*>(rtcSetNewGeometryBuffer(
-            g, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12, mesh.triangles.size()));
-        std::ranges::copy(mesh.triangles, corners);
-        rtcCommitGeometry(g);
-        rtcAttachGeometry(scene, g);
-        rtcReleaseGeometry(g);
-        rtcSetSceneFlags(scene, RTC_SCENE_FLAG_ROBUST);
-        rtcCommitScene(scene);
-    }
-    ~RawScene()
-    {
-        rtcReleaseScene(scene);
-        rtcReleaseDevice(device);
-    }
-    RawScene(const RawScene&) = delete;
-    RawScene& operator=(const RawScene&) = delete;
-};
 
 }  // namespace
 
@@ -114,7 +70,7 @@ int main(int argc, char** argv)
     const light::Directions d = light::directions(site.latitude, {}, rays);
     std::vector<Vec3f> directions = d.sun;
     for (const auto& part : d.sky) directions.push_back(part.centre);
-    const RawScene raw(body.mesh);
+    const bench::RawScene raw(body.mesh);
 
     WeatherDay weather;
     weather.year = 2024;
@@ -155,25 +111,15 @@ int main(int argc, char** argv)
          [&] { light = light::day(full, sites, moments, radiation); },
          [&] { return hash_of(light.total); }},
     };
-    std::vector<std::vector<double>> times(2 * cases.size());
-    std::vector<std::string> hashes(2 * cases.size());
-    for (int round = 0; round < 5; ++round)
-        for (std::size_t c = 0; c < cases.size(); ++c)
-            for (const std::size_t threads : {2u, 1u}) {
-                if (round >= cases[c].rounds) continue;
-                const ThreadLimit limit(threads);
-                times[2 * c + threads - 1].push_back(seconds_of(cases[c].work));
-                hashes[2 * c + threads - 1] = cases[c].hash();
-            }
-    for (std::size_t k = 0; k < times.size(); ++k) {
-        std::ranges::sort(times[k]);
-        const double median = times[k][times[k].size() / 2];
-        std::string note = fmt::format("{:.2f} M sites/s", double(n) / median / 1e6);
+    const std::vector<bench::Rounds> rounds = bench::in_turn(cases);
+    for (std::size_t k = 0; k < rounds.size(); ++k) {
+        const double seconds = median(rounds[k].seconds);
+        std::string note = fmt::format("{:.2f} M sites/s", double(n) / seconds / 1e6);
         if (k / 2 < 2)
-            note = fmt::format("{:.2f} M rays/s, {:.2f} of the peer", count / median / 1e6,
-                               times[k % 2][times[k % 2].size() / 2] / median);
-        fmt::print("{}, {}, {}, {:.4f}, {}, {}\n", cases[k / 2].name, n, k % 2 + 1, median, note,
-                   hashes[k]);
+            note = fmt::format("{:.2f} M rays/s, {:.2f} of the peer", count / seconds / 1e6,
+                               median(rounds[k % 2].seconds) / seconds);
+        fmt::print("{}, {}, {}, {:.4f}, {}, {}\n", cases[k / 2].name, n, k % 2 + 1, seconds, note,
+                   rounds[k].hash);
     }
     fmt::print("bytes a site: {} of bits, {} of links, 8 of V and e\n", full.words() * 4,
                full.links.size() * 4 / n);

@@ -3,9 +3,7 @@
 
 #include <fmt/format.h>
 
-#include <algorithm>
-#include <cstring>
-#include <ctime>
+#include <cmath>
 #include <functional>
 #include <memory>
 #include <string>
@@ -18,6 +16,7 @@
 #include "solvers/light/photon_map.h"
 #include "solvers/rays/embree.h"
 #include "tests/bench/measure.h"
+#include "tests/bench/raw_scene.h"
 #include "tests/support/roof.h"
 
 namespace {
@@ -25,47 +24,6 @@ namespace {
 using namespace sekitei;
 using bench::hash_of;
 using bench::median;
-using bench::seconds_of;
-
-/// A scene without wrappers: land and moss as one.
-struct RawScene {
-    RTCDevice device = rtcNewDevice(nullptr);
-    RTCScene scene = rtcNewScene(device);
-    RawScene(const TriMesh& mesh, const std::vector<Sphere>& moss)
-    {
-        RTCGeometry g = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
-        auto* points = static_cast<Vec3f*>(rtcSetNewGeometryBuffer(
-            g, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, sizeof(Vec3f), mesh.vertices.size()));
-        std::ranges::copy(mesh.vertices, points);
-        auto* corners = static_cast<std::array<std::uint32_t, 3>*>(rtcSetNewGeometryBuffer(
-            g, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12, mesh.triangles.size()));
-        std::ranges::copy(mesh.triangles, corners);
-        attach(g);
-        if (!moss.empty()) {
-            g = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_SPHERE_POINT);
-            auto* balls = static_cast<Sphere*>(rtcSetNewGeometryBuffer(
-                g, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT4, sizeof(Sphere), moss.size()));
-            std::ranges::copy(moss, balls);
-            attach(g);
-        }
-        rtcSetSceneFlags(scene, RTC_SCENE_FLAG_ROBUST);
-        rtcSetSceneBuildQuality(scene, RTC_BUILD_QUALITY_HIGH);
-        rtcCommitScene(scene);
-    }
-    void attach(RTCGeometry g)
-    {
-        rtcCommitGeometry(g);
-        rtcAttachGeometry(scene, g);
-        rtcReleaseGeometry(g);
-    }
-    ~RawScene()
-    {
-        rtcReleaseScene(scene);
-        rtcReleaseDevice(device);
-    }
-    RawScene(const RawScene&) = delete;
-    RawScene& operator=(const RawScene&) = delete;
-};
 
 struct RecordedRay {
     Vec3f origin, direction;
@@ -91,31 +49,16 @@ std::vector<RecordedRay> record(const light::PhotonScene& scene,
     return rays;
 }
 
-/// As Embree's manual writes it.
-std::vector<std::uint32_t> raw_hits(RTCScene scene, const std::vector<RecordedRay>& rays)
+/// One after the other, as Embree's manual writes it.
+std::vector<std::uint32_t> raw_hits(RTCScene scene, const std::vector<RecordedRay>& recorded)
 {
-    std::vector<std::uint32_t> met(rays.size());
+    std::vector<std::uint32_t> met(recorded.size());
     parallel_for(
-        rays.size(),
+        recorded.size(),
         [&](std::size_t i) {
+            const auto& [origin, direction] = recorded[i];
             RTCRayHit q{};
-            q.ray.org_x = rays[i].origin.x;
-            q.ray.org_y = rays[i].origin.y;
-            q.ray.org_z = rays[i].origin.z;
-            q.ray.dir_x = rays[i].direction.x;
-            q.ray.dir_y = rays[i].direction.y;
-            q.ray.dir_z = rays[i].direction.z;
-            q.ray.tnear = 1e-4f;
-            q.ray.tfar = INFINITY;
-            q.ray.mask = 0xFFFFFFFFu;
-            q.hit.geomID = q.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-#if RTC_VERSION_MAJOR >= 4
-            rtcIntersect1(scene, &q, nullptr);
-#else
-            RTCIntersectContext context;
-            rtcInitIntersectContext(&context);
-            rtcIntersect1(scene, &context, &q);
-#endif
+            rays::first_hit(scene, rays::ray_of(origin, direction, 1e-4f, INFINITY), q);
             met[i] = q.hit.primID;
         },
         2048);
@@ -130,11 +73,6 @@ struct Bench {
     std::function<std::string(double)> note;
 };
 
-double processor_seconds()
-{
-    return static_cast<double>(std::clock()) / CLOCKS_PER_SEC;
-}
-
 struct Seconds {
     double two;        ///< passed, on two threads
     double processor;  ///< of processor, on one thread: hardly hurt by whatever else runs
@@ -144,29 +82,18 @@ struct Seconds {
 std::vector<Seconds> run(const std::string& what, const std::vector<Bench>& cases)
 {
     fmt::print("{}\n", what);
-    std::vector<std::vector<double>> times(2 * cases.size()), processor(2 * cases.size());
-    std::vector<std::string> hashes(2 * cases.size());
-    for (int round = 0; round < 7; ++round)
-        for (std::size_t c = 0; c < cases.size(); ++c)
-            for (const std::size_t threads : {2u, 1u}) {
-                if (round >= cases[c].rounds) continue;
-                const ThreadLimit limit(threads);
-                const double start = processor_seconds();
-                times[2 * c + threads - 1].push_back(seconds_of(cases[c].work));
-                processor[2 * c + threads - 1].push_back(processor_seconds() - start);
-                hashes[2 * c + threads - 1] = cases[c].hash();
-            }
+    const std::vector<bench::Rounds> rounds = bench::in_turn(cases);
     std::vector<Seconds> all;
     for (std::size_t c = 0; c < cases.size(); ++c) {
-        const double one = median(times[2 * c]);
-        const Seconds s{median(times[2 * c + 1]), median(processor[2 * c])};
+        const bench::Rounds &on_one = rounds[2 * c], &on_two = rounds[2 * c + 1];
+        const double one = median(on_one.seconds);
+        const Seconds s{median(on_two.seconds), median(on_one.processor)};
         all.push_back(s);
         fmt::print(
             "{}: 1 thread {:.2f} ms ({:.2f} of processor), 2 threads {:.2f} ms ({:.2f} x), {}, {} "
             "{}\n",
             cases[c].name, 1e3 * one, 1e3 * s.processor, 1e3 * s.two, one / s.two,
-            cases[c].note(s.two), hashes[2 * c],
-            hashes[2 * c] == hashes[2 * c + 1] ? "same" : "DIFFERENT");
+            cases[c].note(s.two), on_one.hash, on_one.hash == on_two.hash ? "same" : "DIFFERENT");
     }
     return all;
 }
@@ -209,7 +136,7 @@ void day_on(const std::string& name, const TriMesh& mesh, double longest_edge, s
     scene.set_moss(moss.balls);
     const light::Daylight daylight{{{{0, 0, 1}, 150 - sky}}, sky};
     const light::PhotonParams params;
-    const RawScene raw(sites.mesh, moss.balls);
+    const bench::RawScene raw(sites.mesh, moss.balls, RTC_BUILD_QUALITY_HIGH);
 
     std::uint64_t tries = 0;
     std::vector<light::Emitted> emitted = light::emit(scene, daylight, params, 1, 1, tries);

@@ -5,29 +5,28 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <chrono>
 #include <functional>
 #include <string>
 #include <vector>
 
-#include "core/hash.h"
 #include "core/parallel.h"
 #include "core/random.h"
 #include "solvers/moss/growth.h"
 #include "solvers/soil/soil.h"
 #include "tests/bench/measure.h"
+#include "tests/bench/soil_sites.h"
 
 namespace {
 
 using namespace sekitei;
 using bench::hash_of;
-using bench::seconds_of;
+using bench::median;
 
 constexpr std::size_t kSites = 200000;
 
-struct Ground {
-    std::vector<double> water, capacity, rain;
-    std::vector<float> light, temperature, humidity, wind, sky, cover, depth;
+struct Ground : bench::SoilSites {
+    std::vector<double> capacity;
+    std::vector<float> temperature, humidity;
 
     Ground()
     {
@@ -49,18 +48,7 @@ struct Ground {
     }
     soil::Inputs inputs(bool air_per_site) const
     {
-        soil::Inputs in{.water = water,
-                        .light = light,
-                        .temperature = 288.5F,
-                        .humidity = 0.8F,
-                        .rain = rain,
-                        .wind = wind,
-                        .sky_view = sky,
-                        .cover = cover,
-                        .depth = depth,
-                        .soil = {},
-                        .soils = std::span(soil::preset_soils()).first(1),
-                        .air = {0.5, 1013, {}}};
+        soil::Inputs in = SoilSites::inputs();
         if (air_per_site) in.temperature = temperature, in.humidity = humidity;
         return in;
     }
@@ -70,6 +58,7 @@ struct Case {
     std::string name;
     std::function<void()> work;
     std::function<std::string()> hash;
+    int rounds = 5;
 };
 
 }  // namespace
@@ -150,20 +139,11 @@ int main()
          [&] { return hash_of(runoff.supply); }},
     };
 
-    constexpr std::size_t kRounds = 5;
-    std::vector<std::vector<double>> times(2 * cases.size());
-    std::vector<std::string> hashes(2 * cases.size());
-    for (std::size_t round = 0; round < kRounds; ++round)
-        for (std::size_t c = 0; c < cases.size(); ++c)
-            for (const std::size_t threads : {1u, 2u}) {
-                const ThreadLimit limit(threads);
-                times[2 * c + threads - 1].push_back(seconds_of(cases[c].work));
-                hashes[2 * c + threads - 1] = cases[c].hash();
-            }
-    for (std::size_t k = 0; k < times.size(); ++k) {
-        std::ranges::sort(times[k]);
-        const double median = times[k][kRounds / 2];
+    const std::vector<bench::Rounds> rounds = bench::in_turn(cases);
+    for (std::size_t k = 0; k < rounds.size(); ++k) {
+        const double seconds = median(rounds[k].seconds);
         fmt::print("{}, {}, {}, {:.4f} (best {:.4f}), {:.2f} M/s, {}\n", cases[k / 2].name, kSites,
-                   k % 2 + 1, median, times[k].front(), kSites / median / 1e6, hashes[k]);
+                   k % 2 + 1, seconds, std::ranges::min(rounds[k].seconds), kSites / seconds / 1e6,
+                   rounds[k].hash);
     }
 }

@@ -6,8 +6,6 @@
 #include <openvdb/tools/Dense.h>
 #include <unistd.h>
 
-#include <algorithm>
-#include <chrono>
 #include <cstdlib>
 #include <filesystem>
 
@@ -19,17 +17,7 @@
 
 using namespace sekitei;
 using bench::median;
-
-namespace {
-
-double seconds(auto&& work)
-{
-    const auto begin = std::chrono::steady_clock::now();
-    work();
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-}
-
-}  // namespace
+using bench::seconds_of;
 
 int main(int argc, char** argv)
 {
@@ -70,16 +58,16 @@ int main(int argc, char** argv)
         const ThreadLimit limit(threads);
         std::vector<double> write, read, write_peer, read_peer;
         for (int round = 0; round < 5; ++round) {
-            write.push_back(seconds([&] { write_vdb(folder / "ours.vdb", scene); }));
-            write_peer.push_back(seconds([&] {
+            write.push_back(seconds_of([&] { write_vdb(folder / "ours.vdb", scene); }));
+            write_peer.push_back(seconds_of([&] {
                 openvdb::io::File file((folder / "theirs.vdb").string());
                 file.setCompression(openvdb::io::COMPRESS_BLOSC |
                                     openvdb::io::COMPRESS_ACTIVE_MASK);
                 file.write({theirs});
                 file.close();
             }));
-            read.push_back(seconds([&] { read_vdb(folder / "ours.vdb"); }));
-            read_peer.push_back(seconds([&] {
+            read.push_back(seconds_of([&] { read_vdb(folder / "ours.vdb"); }));
+            read_peer.push_back(seconds_of([&] {
                 openvdb::io::File file((folder / "theirs.vdb").string());
                 file.open(false);
                 file.getGrids();
