@@ -99,6 +99,41 @@ void log_mesh_report(const std::filesystem::path& file, const MeshReadReport& re
         log::detail("{}: split {} polygons into triangles", file.string(), report.split_polygons);
 }
 
+void tell_of_textures(const std::filesystem::path& file, const MeshReadReport& report)
+{
+    constexpr std::size_t kShown = 3;
+    // The names come out of a file.
+    const auto printable = [](const std::filesystem::path& path) {
+        std::string text = path.string();
+        std::replace_if(
+            text.begin(), text.end(), [](unsigned char c) { return c < ' ' || c == 0x7F; }, '?');
+        return text;
+    };
+    if (!report.textures.empty()) {
+        std::vector<std::string> names;
+        std::error_code unknown;
+        for (const auto& texture : report.textures)
+            if (names.size() < kShown)
+                names.push_back(printable(texture) + (std::filesystem::exists(texture, unknown)
+                                                          ? ""
+                                                          : " (which is not there)"));
+        const std::filesystem::path& first = report.textures.front();
+        log::info(
+            "{}: its materials name the texture {}{}, which is not used by itself; moss takes the "
+            "soils from its colours with --texture {}{}",
+            file.string(), fmt::join(names, ", "),
+            report.textures.size() > kShown
+                ? fmt::format(" and {} more", report.textures.size() - kShown)
+                : "",
+            printable(std::filesystem::path(first).replace_extension(".png")),
+            first.extension() == ".png" ? "" : ", once it is a PNG");
+    } else if (!report.lost_materials.empty())
+        log::info(
+            "{}: it has texture coordinates, but its materials {} cannot be read; moss takes the "
+            "soils from the colours of a texture with --texture FILE.png",
+            file.string(), printable(report.lost_materials.front()));
+}
+
 bool makes_mesh(Stage& stage)
 {
     const std::vector<std::string> made = stage.makes();

@@ -124,6 +124,9 @@ const Json* params_of(const Scene& scene, const std::string& stage);
 /// Tells what reading a mesh file had to mend.
 void log_mesh_report(const std::filesystem::path& file, const MeshReadReport& report);
 
+/// Tells of the pictures that a mesh's materials name, since only `moss --texture` looks at one.
+void tell_of_textures(const std::filesystem::path& file, const MeshReadReport& report);
+
 /// "; run `sekitei light` first" for a grid, points or mesh that only other stages make; empty
 /// where none does.
 std::string maker_hint(const std::string& item);

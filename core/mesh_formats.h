@@ -28,6 +28,8 @@ struct Polygons {
     bool binary = false;
     std::size_t dropped = 0, merged = 0;  ///< what the reader itself left out or joined
     std::vector<std::string> groups, warnings;
+    std::vector<std::string> material_files;  ///< what the lines mtllib of an OBJ say
+    std::vector<std::string> materials;       ///< that its faces use
 };
 
 Polygons read_ply(std::string_view bytes, const std::string& name);
@@ -35,6 +37,11 @@ std::optional<PointsReport> describe_ply_points(std::string_view bytes, const st
 Polygons read_obj(std::string_view bytes, const std::string& name);
 Polygons read_off(std::string_view bytes, const std::string& name);
 Polygons read_stl(std::string_view bytes, const std::string& name);
+
+/// The pictures (map_Kd) that these materials of an MTL file have, as written, each once and at
+/// most 100; of all its materials where none is named.
+std::vector<std::string> material_textures(std::string_view mtl,
+                                           const std::vector<std::string>& materials);
 
 bool looks_like_ply(std::string_view bytes);
 bool looks_like_off(std::string_view bytes);

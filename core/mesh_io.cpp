@@ -131,6 +131,33 @@ void check(const TriMesh& mesh)
     check_attributes(mesh.face_attributes, mesh.triangles.size(), "triangle");
 }
 
+/// Looks into the material files of an OBJ at `path` for pictures.
+void find_textures(const std::filesystem::path& path, const std::vector<std::string>& files,
+                   const std::vector<std::string>& materials, MeshReadReport& report)
+{
+    constexpr std::uint64_t kLargestMaterials = 16u << 20;
+    const std::filesystem::path folder = path.parent_path();
+    std::error_code unknown;
+    for (const std::string& line : files) {
+        // A line is one name with blanks in it or several names.
+        std::vector<std::string> names{line};
+        if (!std::filesystem::exists(folder / line, unknown)) {
+            names.clear();
+            std::string_view rest = line;
+            for (std::string_view word = take_word(rest); !word.empty(); word = take_word(rest))
+                names.emplace_back(word);
+        }
+        for (const std::string& name : names) try {
+                const std::string bytes = read_file(folder / name, kLargestMaterials);
+                for (const std::string& texture : material_textures(bytes, materials))
+                    if (std::ranges::count(report.textures, folder / texture) == 0)
+                        report.textures.push_back(folder / texture);
+            } catch (const InvalidInput&) {
+                report.lost_materials.push_back(folder / name);
+            }
+    }
+}
+
 TriMesh mend_reported(Polygons&& polygons, MeshReadReport* report)
 {
     MeshReadReport own;
@@ -151,7 +178,13 @@ TriMesh decode_mesh(std::string_view bytes, const std::string& name, MeshReadRep
 
 TriMesh read_mesh(const std::filesystem::path& path, MeshReadReport* report)
 {
-    return decode_mesh(read_file(path), path.string(), report);
+    Polygons polygons = read_polygons(read_file(path), path.string());
+    const bool textured = !polygons.texture.empty();
+    const std::vector<std::string> files = std::move(polygons.material_files),
+                                   materials = std::move(polygons.materials);
+    TriMesh mesh = mend_reported(std::move(polygons), report);
+    if (report && textured) find_textures(path, files, materials, *report);
+    return mesh;
 }
 
 TriMesh decode_ply(std::string_view bytes, const std::string& name)

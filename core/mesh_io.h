@@ -22,6 +22,10 @@ struct MeshReadReport {
     std::size_t flipped_triangles = 0;  ///< reoriented so that all agree and the volume is positive
     std::vector<std::string> warnings;  ///< e.g. a size of 1e-6 m, unknown properties
     std::vector<std::string> groups;  ///< OBJ groups / materials; face attribute "group" indexes it
+    /// Pictures (map_Kd) that the materials of an OBJ with texture coordinates name, and material
+    /// files that it names and that are not there; both found from the OBJ's folder, by
+    /// read_mesh().
+    std::vector<std::filesystem::path> textures, lost_materials;
 };
 
 /// Reads PLY (ascii, both binary orders), OBJ, STL (ascii, binary) or OFF, chosen by content, then
@@ -37,7 +41,7 @@ struct MeshReadReport {
 /// lines `vt` of OBJ, and of PLY the list `texcoord` of a face or else the vertex properties (s,
 /// t), (u, v), (texture_u, texture_v) or (texture_s, texture_t), come back as the face attributes
 /// uv_0, uv_1 and uv_2 (Vec3f, z = 0), one for each corner, and go out the same way. The picture
-/// itself, `map_Kd` of a material, is not looked for.
+/// itself, `map_Kd` of a material, is only reported.
 ///
 /// Zero-area triangles and vertices with equal position and attributes are dropped and counted.
 /// Neighbours are made to agree in orientation, and closed pieces turned to positive volume unless

@@ -5,6 +5,7 @@
 #include <bit>
 #include <limits>
 #include <map>
+#include <set>
 
 #include "core/error.h"
 #include "core/mesh_formats.h"
@@ -15,6 +16,14 @@ namespace sekitei::mesh_format {
 namespace {
 
 constexpr std::int32_t kNoName = -1;
+constexpr std::size_t kMostNamed = 100;  ///< material files and textures to tell of
+
+std::string_view trimmed(std::string_view text)
+{
+    const auto first = text.find_first_not_of(" \t");
+    if (first == std::string_view::npos) return {};
+    return text.substr(first, text.find_last_not_of(" \t") - first + 1);
+}
 
 /// Names of one statement (g, usemtl or o) and which of them each polygon has.
 struct Naming {
@@ -25,9 +34,8 @@ struct Naming {
 
     void set(std::string_view rest)
     {
-        while (!rest.empty() && (rest.back() == ' ' || rest.back() == '\t')) rest.remove_suffix(1);
-        const auto first = rest.find_first_not_of(" \t");
-        const std::string name(first == std::string_view::npos ? "default" : rest.substr(first));
+        rest = trimmed(rest);
+        const std::string name(rest.empty() ? "default" : rest);
         const auto [entry, added] = known.emplace(name, static_cast<std::int32_t>(known.size()));
         if (added) names.push_back(name);
         now = entry->second;
@@ -61,6 +69,7 @@ public:
         }
         check_indices();
         texture_corners();
+        out_.materials = material_.names;
         name_groups();
         if (!colours_.empty() && colours_.size() == out_.vertices.size())
             out_.vertex_attributes[kColour] = std::move(colours_);
@@ -101,6 +110,8 @@ private:
             material_.set(line);
         else if (key == "o")
             object_.set(line);
+        else if (key == "mtllib" && out_.material_files.size() < kMostNamed)
+            out_.material_files.emplace_back(trimmed(line));
         // everything else (normals, curves, comments) has no use here
     }
 
@@ -267,6 +278,38 @@ bool looks_like_obj(std::string_view bytes)
 Polygons read_obj(std::string_view bytes, const std::string& name)
 {
     return Reader(bytes, name).read();
+}
+
+std::vector<std::string> material_textures(std::string_view mtl,
+                                           const std::vector<std::string>& materials)
+{
+    std::vector<std::string> textures;
+    const std::set<std::string_view> wanted(materials.begin(), materials.end());
+    bool used = wanted.empty();
+    Lines lines(mtl);
+    for (std::string_view line; lines.next(line);) {
+        const std::string_view key = take_word(line);
+        if (key == "newmtl") used = wanted.empty() || wanted.contains(trimmed(line));
+        if (!used || (key != "map_Kd" && key != "map_kd")) continue;
+        // Options with their values come first: -clamp on, -mm 0 1, -o, -s and -t with 1 to 3.
+        for (std::string_view rest = line; take_word(rest).starts_with('-'); rest = line) {
+            const std::string_view option = take_word(line);
+            const bool place = option == "-o" || option == "-s" || option == "-t";
+            double number = 0;
+            for (int i = 0; i < (place ? 3 : option == "-mm" ? 2 : 1); ++i) {
+                std::string_view after = line;
+                const std::string_view value = take_word(after);
+                if (place && !to_number(value, number)) break;
+                line = after;
+            }
+        }
+        std::string file(trimmed(line));
+        std::ranges::replace(file, '\\', '/');
+        if (!file.empty() && textures.size() < kMostNamed &&
+            std::ranges::count(textures, file) == 0)
+            textures.push_back(std::move(file));
+    }
+    return textures;
 }
 
 std::string write_obj(const TriMesh& mesh, const Progress& progress)

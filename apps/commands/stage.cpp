@@ -189,10 +189,13 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common,
         scene.meshes["rock"] = std::move(mesh);
         return scene;
     };
-    auto load_mesh = [](const fs::path& path) {
+    const ParamList params = stage.params();
+    const Param* texture = find_param(params, "texture");
+    auto load_mesh = [&](const fs::path& path) {
         MeshReadReport report;
         TriMesh mesh = read_mesh(path, &report);
         log_mesh_report(path, report);
+        if (texture && texture->get() == "") tell_of_textures(path, report);
         return mesh;
     };
     if (name == "-") {

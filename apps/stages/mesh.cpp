@@ -86,6 +86,7 @@ public:
             MeshReadReport report;
             TriMesh mesh = read_mesh(file, &report);
             log_mesh_report(file, report);
+            tell_of_textures(file, report);
             raise_up(mesh, params_.up);
             for (Vec3f& v : mesh.vertices) v = Vec3f(Vec3d(v) * params_.scale);
             Json summary = summary_of(mesh);

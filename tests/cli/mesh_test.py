@@ -520,6 +520,35 @@ class Broken(MeshTest):
         self.refuse(BAD_INPUT, ["gone.png"], "moss", "rock.ply", *MOSS, "--texture", "gone.png", "-o", "x.vdb")
         self.refuse(BAD_INPUT, ["paint"], "moss", "rock.ply", *MOSS, "--mask", "paint", "-o", "x.vdb")
 
+    def test_a_texture_that_materials_name_is_told_of(self):
+        v, f = slab()
+        text = "mtllib stone.mtl\nusemtl stone\n" + "".join(f"v {x} {y} {z}\n" for x, y, z in v) + "vt 0 0\nvt 1 0\nvt 0 1\n"
+        self.write("in/stone.obj", text + "".join("f " + " ".join(f"{i + 1}/{k + 1}" for k, i in enumerate(t)) + "\n" for t in f))
+        self.write("in/stone.mtl", "newmtl stone\nmap_Kd stone.png\n")
+        self.write("in/stone.png", foreign.png(4, 4, lambda x, y: 0))
+        grow = ["moss", "in/stone.obj", *MOSS, "--force", "-o"]
+        words = "in/stone.obj: its materials name the texture in/stone.png, which is not used by itself"
+        done = self.succeed(*grow, "plain.vdb")
+        self.assertIn(words, done.err)
+        self.assertIn("--texture in/stone.png", done.err)
+        self.assertIn(words, self.succeed("mesh", "--file", "in/stone.obj", "-o", "x.ply").err)
+        # Not where it is used, nor where none could be.
+        self.assertNotIn(words, self.run_in_folder(*grow, "x.vdb", "--texture", "in/stone.png").err)
+        self.assertNotIn(words, self.light("in/stone.obj", "-o", "light.vdb").err)
+        for mtl, told in (("newmtl stone\nmap_Kd rock.jpg\n", ["in/rock.jpg (which is not there)", "--texture in/rock.png, once it is a PNG"]),
+                          (None, ["in/stone.mtl", "--texture FILE.png"])):
+            if mtl:
+                self.write("in/stone.mtl", mtl)
+            else:
+                (self.folder / "in/stone.mtl").unlink()
+            err = self.succeed(*grow, "x.vdb").err
+            for word in told:
+                self.assertIn(word, err)
+        self.write("in/stone.mtl", "newmtl stone\nKd 1 1 1\n")
+        self.assertNotIn("--texture", self.succeed(*grow, "x.vdb").err)
+        # Told, it changes nothing.
+        self.assertSameBytes(self.folder / "x.ply", self.folder / "plain.ply")
+
     def test_checkpoints(self):
         self.moss("rock.ply", "--checkpoint", "c.state", "-o", "a.vdb", "--days", "12")
         state = (self.folder / "c.state").read_bytes()

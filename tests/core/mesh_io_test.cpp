@@ -11,6 +11,7 @@
 #include <nlohmann/json.hpp>
 
 #include "core/error.h"
+#include "core/file_output.h"
 #include "core/random.h"
 #include "tests/core/meshes.h"
 #include "tests/support/temporary_folder.h"
@@ -588,6 +589,51 @@ TEST(MeshIo, TextureCoordinatesComeBackWithTheirCorners)
     EXPECT_EQ(fewer.find("vt -"), std::string::npos);
     EXPECT_THAT(fewer, HasSubstr("/4/"));
     EXPECT_THAT(fewer, Not(HasSubstr("/5/")));
+}
+
+TEST(MeshIo, TheTexturesOfUsedMaterialsAreReported)
+{
+    const TemporaryFolder folder;
+    const auto report = [&](const std::string& begin, const std::string& face) {
+        write_file(folder / "a.obj",
+                   begin + "v 0 0 0\nv 2 0 0\nv 0 3 0\nvt 0 0\nvt 1 0\nvt 0 1\n" + face);
+        MeshReadReport found;
+        read_mesh(folder / "a.obj", &found);
+        return found;
+    };
+    const auto textures = [&](const std::string& begin, const std::string& face) {
+        return report(begin, face).textures;
+    };
+    using Paths = std::vector<std::filesystem::path>;
+    const std::string face = "f 1/1 2/2 3/3\n";
+    write_file(
+        folder / "my rock.mtl",
+        "newmtl wet rock\r\nKd 1 1 1\r\nmap_Kd -clamp on -s 2 2 -mm 0 1 -o .5 -bm 3 wet rock.png "
+        "\r\nmap_Bump bump.png\r\nnewmtl dry\nmap_Kd maps\\dry.png\n");
+    write_file(folder / "more.mtl",
+               "newmtl dry\n map_Kd b.jpg\nmap_Kd b.jpg\nmap_Kd -s 1 2 3 4.png\n");
+    EXPECT_EQ(textures("mtllib my rock.mtl\n", "usemtl wet rock\n" + face),
+              Paths{folder / "wet rock.png"});
+    EXPECT_EQ(textures("mtllib my rock.mtl\n", "usemtl dry\n" + face),
+              Paths{folder / "maps/dry.png"});
+    EXPECT_EQ(textures("mtllib my rock.mtl \n", face),
+              (Paths{folder / "wet rock.png", folder / "maps/dry.png"}));
+    EXPECT_EQ(textures("mtllib my rock.mtl\nmtllib more.mtl\n", "g x\nusemtl dry\n" + face),
+              (Paths{folder / "maps/dry.png", folder / "b.jpg", folder / "4.png"}));
+    EXPECT_EQ(textures("mtllib my rock.mtl\n", "usemtl other\n" + face), Paths{});
+    EXPECT_EQ(textures("mtllib my rock.mtl\n", "f 1 2 3\n"), Paths{}) << "no texture coordinates";
+    EXPECT_EQ(report("", face).lost_materials, Paths{});
+
+    // What is not there, or not a file, is reported too.
+    const MeshReadReport found = report("mtllib gone.mtl more.mtl ..\n", face);
+    EXPECT_EQ(found.lost_materials, (Paths{folder / "gone.mtl", folder / ".."}));
+    EXPECT_EQ(found.textures, (Paths{folder / "b.jpg", folder / "4.png"}));
+
+    // Nor do names that no file can have, or very many of them, stop the reader.
+    EXPECT_EQ(report("mtllib " + std::string(100'000, 'x') + "\n", face).lost_materials.size(), 1u);
+    std::string many;
+    for (int i = 0; i < 100'000; ++i) many += "mtllib x\n";
+    EXPECT_LE(report(many, face).lost_materials.size(), 100u);
 }
 
 TEST(MeshIo, TextureCoordinatesFollowTheirCornersThroughMending)
