@@ -16,7 +16,7 @@ const std::vector<CommandInfo>& tool_commands()
     static const std::vector<CommandInfo> kCommands{
         {"run", "run a recipe; only what changed is made anew"},
         {"check", "tell everything that is wrong with a recipe"},
-        {"info", "say what a scene or mesh holds and how it was made"},
+        {"info", "say what a scene, mesh or file of points holds and how it was made"},
         {"replay", "print a recipe that makes a scene again"},
         {"diff", "compare two scenes or meshes"},
         {"explain", "say why a moss does or does not grow at one cell of a surface"},
