@@ -180,8 +180,8 @@ MeshSites sites_of(const TriMesh& mesh, double longest_edge, const std::string& 
             "of a sheet",
             who, report.open_edges);
     if (report.non_manifold_edges > 0)
-        log::detail("{}: {} edges of the mesh have more than two faces", who,
-                    report.non_manifold_edges);
+        log::warning("{}: {} edges of the mesh have more than two faces", who,
+                     report.non_manifold_edges);
     return mesh_sites(mesh, longest_edge, progress);
 }
 

@@ -39,7 +39,7 @@ struct PhotonGround {
 
     static void describe(auto&& field)
     {
-        field("site", &PhotonGround::site, "m", between(1e-4, 10),
+        field("site", &PhotonGround::site, "m", between(1e-4, 1000),
               "on a mesh: longest edge of the pieces that have a climate each");
         field("sun", &PhotonGround::sun,
               "on a mesh: fixed in the south, or on its path; auto: path with weather");

@@ -166,6 +166,7 @@ struct AtomicFile::State {
     fs::path target;     // with symbolic links followed
     fs::path temporary;  // empty once renamed
     int fd = -1;
+    bool prepared = false;
     std::uint64_t written = 0;   // in the file
     std::uint64_t expected = 0;  // from reserve()
     std::vector<char> buffer;
@@ -298,9 +299,10 @@ void AtomicFile::set_verifier(std::function<void(const fs::path&)> verifier)
     state_->verifier = std::move(verifier);
 }
 
-void AtomicFile::commit()
+void AtomicFile::prepare()
 {
     State& s = *state_;
+    if (s.prepared) return;
     s.flush();
     // A reservation larger than the content would stay allocated.
     if (s.expected > s.written && ::ftruncate(s.fd, static_cast<off_t>(s.written)) != 0)
@@ -312,7 +314,13 @@ void AtomicFile::commit()
         cannot_write(s.shown, fmt::format("{} bytes were written, the file has {}", s.written,
                                           static_cast<std::uint64_t>(info.st_size)));
     if (s.verifier) s.verifier(s.temporary);
+    s.prepared = true;
+}
 
+void AtomicFile::commit()
+{
+    prepare();
+    State& s = *state_;
     // A folder or pipe of this name may have appeared since the check at the start.
     check_resolved(s.target, s.shown);
     if (::rename(s.temporary.c_str(), s.target.c_str()) != 0) cannot_write(s.shown, reason(errno));
@@ -328,6 +336,13 @@ void AtomicFile::commit()
 
 void write_file(const fs::path& target, std::string_view bytes, const Progress& progress)
 {
+    write_file_with(
+        target, bytes, [] {}, progress);
+}
+
+void write_file_with(const fs::path& target, std::string_view bytes,
+                     const std::function<void()>& rest, const Progress& progress)
+{
     AtomicFile file(target);
     file.reserve(bytes.size());
     for (; !bytes.empty(); bytes.remove_prefix(std::min(kChunk, bytes.size()))) {
@@ -335,6 +350,8 @@ void write_file(const fs::path& target, std::string_view bytes, const Progress& 
         file.write(bytes.substr(0, kChunk));
     }
     progress.check();
+    file.prepare();
+    rest();
     file.commit();
 }
 

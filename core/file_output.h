@@ -36,6 +36,8 @@ public:
 
     /// Called with the temporary path after the sync and before the rename; throws to refuse.
     void set_verifier(std::function<void(const std::filesystem::path&)> verifier);
+    /// All of commit() but the rename.
+    void prepare();
     void commit();
 
 private:
@@ -46,6 +48,11 @@ private:
 /// Writes one file atomically; cancelled, the target is left as it was.
 void write_file(const std::filesystem::path& target, std::string_view bytes,
                 const Progress& progress = {});
+
+/// The same with another file, which `rest` writes: what may fail comes before either has its name,
+/// so that both are new or both are what they were.
+void write_file_with(const std::filesystem::path& target, std::string_view bytes,
+                     const std::function<void()>& rest, const Progress& progress = {});
 
 /// Fails now if `target` could not be written later: missing folder, folder read-only, target is a
 /// folder, a FIFO or a device.

@@ -149,12 +149,12 @@ void check_winding(const TriMesh& mesh, const std::vector<std::uint32_t>& face)
     std::vector<std::size_t> bad;
     bool closed = true;
     for (std::size_t i = 0, next = 0; i < sides.size(); i = next) {
-        // Where several sheets or solids meet at an edge, their sides must still balance.
+        // Where several sheets or solids meet at an edge, nobody can say which runs on into which.
         int rising = 0;
         for (next = i; next < sides.size() && sides[next].edge == sides[i].edge; ++next)
             rising += sides[next].rising ? 1 : -1;
         closed = closed && rising == 0;
-        if (std::abs(rising) > 1)
+        if (next - i == 2 && rising != 0)
             for (std::size_t k = i; k < next; ++k) bad.push_back(face[sides[k].triangle]);
     }
     if (!bad.empty()) {

@@ -33,7 +33,7 @@ struct MeshSites {
 /// Vertices at one place become one, whatever attributes told them apart, so that sites are
 /// neighbours across creases and seams, and where solids touch edge to edge. Triangles below
 /// 1e-12 m^2 are left out and counted in the log; a closed mesh that is inside out is warned of.
-/// At an edge where several sheets meet, one more may run one way than the other.
+/// At an edge where several sheets meet they may run any way.
 /// @throws InvalidInput      no triangles; vertices that are not finite, or neighbours that are
 ///                           wound against each other, with the first ten
 /// @throws InvalidParameter  longest_edge <= 0, or too short for float coordinates

@@ -178,17 +178,31 @@ std::string content_hash(const Grid& grid, const Progress& progress)
                       grid.values);
 }
 
+namespace {
+
+template <class T>
+void add_plain(Hasher& hasher, const std::vector<T>& values)
+{
+    std::array<T, 1024> part;
+    for (std::size_t begin = 0; begin < values.size(); begin += part.size()) {
+        const std::size_t count = std::min(part.size(), values.size() - begin);
+        for (std::size_t i = 0; i < count; ++i) part[i] = plain_zero(values[begin + i]);
+        hasher.add(part.data(), count * sizeof(T));
+    }
+}
+
+}  // namespace
+
 std::string content_hash(const Points& points)
 {
     Hasher hasher;
     hasher.add("points");
     hasher.add_value(static_cast<std::uint64_t>(points.position.size()));
-    hasher.add(points.position.data(), points.position.size() * sizeof(Vec3d));
+    add_plain(hasher, points.position);
     for (const auto& [name, attribute] : points.attributes) {
         hasher.add(name);
         hasher.add_value(static_cast<std::uint64_t>(attribute.index()));
-        std::visit([&](const auto& v) { hasher.add(v.data(), v.size() * sizeof(v[0])); },
-                   attribute);
+        std::visit([&](const auto& v) { add_plain(hasher, v); }, attribute);
     }
     return hasher.hex();
 }

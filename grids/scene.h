@@ -1,9 +1,11 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <map>
 #include <memory>
 #include <string>
+#include <type_traits>
 #include <variant>
 #include <vector>
 
@@ -52,6 +54,26 @@ struct Points {
         return list && list->size() == position.size() ? list : nullptr;
     }
 };
+
+/// The same number, and 0 for -0: OpenVDB stores one of them for both where a block of points holds
+/// nothing else, so files and hashes know 0 alone.
+template <class T>
+constexpr T plain_zero(T x)
+{
+    if constexpr (std::is_floating_point_v<T>)
+        return x + T(0);
+    else
+        return x;
+}
+template <class T>
+constexpr Vec3<T> plain_zero(Vec3<T> v)
+{
+    return v + Vec3<T>(0);
+}
+inline std::array<float, 4> plain_zero(const std::array<float, 4>& q)
+{
+    return {q[0] + 0.0f, q[1] + 0.0f, q[2] + 0.0f, q[3] + 0.0f};
+}
 
 /// One command that took part in making a scene.
 struct HistoryEntry {

@@ -114,7 +114,10 @@ RawGrid encode_points(const std::string& name, const Points& p)
     const auto transform = openvdb::math::Transform::createLinearTransform(edge);
     std::vector<Vec3d> positions;
     positions.reserve(p.position.size());
-    for (const auto& x : p.position) positions.emplace_back(x.x, x.y, x.z);
+    for (const auto& any : p.position) {
+        const auto x = plain_zero(any);
+        positions.emplace_back(x.x, x.y, x.z);
+    }
     const points::PointAttributeVector<Vec3d> wrapped(positions);
     const auto index =
         openvdb::tools::createPointIndexGrid<openvdb::tools::PointIndexGrid>(wrapped, *transform);
@@ -124,7 +127,7 @@ RawGrid encode_points(const std::string& name, const Points& p)
     if (!positions.empty()) {
         auto& tree = grid->tree();
         const auto& order = index->tree();
-        auto same = [](auto v) { return v; };
+        auto same = [](auto v) { return plain_zero(v); };
         std::vector<std::int64_t> numbers(positions.size());
         std::iota(numbers.begin(), numbers.end(), 0);
         add_column<std::int64_t>(tree, order, kIndex, numbers, same);
@@ -139,10 +142,13 @@ RawGrid encode_points(const std::string& name, const Points& p)
             else if (const auto* l = std::get_if<std::vector<std::int64_t>>(&any))
                 add_column<std::int64_t>(tree, order, attribute, *l, same);
             else if (const auto* v = std::get_if<std::vector<Vec3f>>(&any))
-                add_column<Vec3s>(tree, order, attribute, *v,
-                                  [](const Vec3f& x) { return Vec3s(x.x, x.y, x.z); });
+                add_column<Vec3s>(tree, order, attribute, *v, [](const Vec3f& x0) {
+                    const Vec3f x = plain_zero(x0);
+                    return Vec3s(x.x, x.y, x.z);
+                });
             else if (const auto* q = std::get_if<std::vector<std::array<float, 4>>>(&any))
-                add_column<Quats>(tree, order, attribute, *q, [](const std::array<float, 4>& x) {
+                add_column<Quats>(tree, order, attribute, *q, [](const std::array<float, 4>& x0) {
+                    const auto x = plain_zero(x0);
                     return Quats(x[0], x[1], x[2], x[3]);
                 });
         }

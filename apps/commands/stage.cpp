@@ -118,7 +118,11 @@ void check_outputs(Stage& stage, const Common& common, bool mesh)
     std::set<fs::path> seen;
     for (const fs::path& target : targets_of(stage, common)) {
         if (!seen.insert(target.lexically_normal()).second)
-            throw InvalidParameter(fmt::format("-o {}: would be written twice", target.string()));
+            throw InvalidParameter(
+                fmt::format("-o {}: would be written twice{}", target.string(),
+                            target.extension() == ".ply"
+                                ? "; a scene about a mesh has that beside it, with the scene's name"
+                                : ""));
         if (target == "-") continue;
         check_target(target);
         if (!common.force && fs::exists(target))
@@ -274,6 +278,15 @@ void write_to_stdout(const std::string& bytes, const Progress& progress)
     }
 }
 
+/// A scene and the mesh beside it.
+void write_pair(const std::string& name, const Scene& scene, const Progress& progress)
+{
+    const fs::path beside = mesh_beside(name);
+    write_file_with(
+        beside, encode_mesh(scene.meshes.at("rock"), beside.extension().string(), progress),
+        [&] { write_vdb(name, scene, {}, progress); }, progress);
+}
+
 void write_result(Stage& stage, const Scene& scene, const std::string& name,
                   const Progress& progress)
 {
@@ -296,16 +309,14 @@ void write_result(Stage& stage, const Scene& scene, const std::string& name,
                 return write_to_stdout(encode_mesh(scene.meshes.at("rock"), ".ply", progress),
                                        progress);
             if (is_mesh_name(name)) return write_mesh(name, scene.meshes.at("rock"), progress);
-            write_mesh(mesh_beside(name), scene.meshes.at("rock"), progress);
-            write_vdb(name, scene, {}, progress);
-            return;
+            return write_pair(name, scene, progress);
         case OutputKind::Scene:
             if (makes_mesh(stage)) {
                 const TriMesh& mesh = scene.meshes.at("rock");
                 if (name == "-")
                     return write_to_stdout(encode_mesh(mesh, ".ply", progress), progress);
                 if (is_mesh_name(name)) return write_mesh(name, mesh, progress);
-                write_mesh(mesh_beside(name), mesh, progress);
+                return write_pair(name, scene, progress);
             }
             if (name == "-")
                 write_vdb_stream(STDOUT_FILENO, scene, progress);

@@ -96,11 +96,12 @@ std::string encode_points(const Points& points, const Progress& progress)
             for (std::size_t i = begin; i < end; ++i)
                 for (int axis = 0; axis < 3; ++axis)
                     put(rows + i * row + static_cast<std::size_t>(axis) * sizeof(double),
-                        points.position[i][axis]);
+                        plain_zero(points.position[i][axis]));
             for (const auto& [place, values] : columns)
                 std::visit(
                     [&, at = place](const auto& list) {
-                        for (std::size_t i = begin; i < end; ++i) put(rows + i * row + at, list[i]);
+                        for (std::size_t i = begin; i < end; ++i)
+                            put(rows + i * row + at, plain_zero(list[i]));
                     },
                     *values);
         },

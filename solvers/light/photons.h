@@ -68,7 +68,7 @@ struct PhotonParams {
 
     static void describe(auto&& field)
     {
-        field("photons", &PhotonParams::photons, "", between(1, 1e18), "sent on a day");
+        field("photons", &PhotonParams::photons, "", between(1, 1e15), "sent on a day");
         field("photon_radius", &PhotonParams::photon_radius, "m", between(1e-4, 100),
               "within which photons count for a place");
         field("photon_nearest", &PhotonParams::photon_nearest, "", between(0, 100'000),

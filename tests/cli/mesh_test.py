@@ -7,7 +7,7 @@ import struct
 import unittest
 
 import foreign
-from support import BAD_INPUT, DATA, LIMIT, USAGE, CliTest, bash, files_in
+from support import BAD_INPUT, DATA, LIMIT, USAGE, CliTest, bash, files_in, small_disk
 
 LIGHT = ["--site", "10cm", "--photons", "20k"]
 MOSS = ["--days", "12", "--site", "10cm", "--photons", "4k", "--open-light", "25", "--initial-count", "20", "--soil", "humus"]
@@ -121,6 +121,19 @@ class Files(MeshTest):
         self.moss("rock.ply", "-o", "scene.vdb")
         self.succeed("export", "scene.vdb", "-o", "exported.ply")
         self.assertSameBytes(self.folder / "exported.ply", content)
+
+    def test_what_was_kept_is_what_was_made(self):
+        self.succeed("light", self.mesh("slab.ply", *slab()), "--site", "10cm", "--photons", "30k", "--keep-photons", "-o", "kept.vdb")
+        self.succeed("verify", "kept.vdb")
+
+    def test_a_scene_and_its_mesh_are_both_new_or_both_old(self):
+        self.light("rock.ply", "-o", "whole.vdb")
+        sizes = sorted((self.folder / name).stat().st_size for name in ("whole.vdb", "whole.ply"))
+        with small_disk(self.folder / "disk", f"size={(sum(sizes) - 4096) // 4096 * 4}k") as disk:
+            for name in ("x.vdb", "x.ply"):
+                (disk / name).write_bytes(b"old")
+            self.refuse(4, ["no space"], "light", "rock.ply", *LIGHT, "--force", "-o", disk / "x.vdb")
+            self.assertEqual({p.name: p.read_bytes() for p in disk.iterdir()}, {"x.vdb": b"old", "x.ply": b"old"})
 
     def test_info_tells_of_points(self):
         stored = self.light("rock.ply", "-o", "light.ply", "--debug-photons", "photons.ply", "--json").json()["summary"]["stored"]

@@ -1,6 +1,5 @@
 """Where results go: folders that are missing, full or closed; names that are strange; the environment."""
 
-import contextlib
 import os
 import resource
 import shutil
@@ -8,20 +7,7 @@ import subprocess
 import unittest
 
 from support import (CANNOT_WRITE, COOL, DONE, JOINT, LAVA, LIMIT, RECIPE, RENDER, USAGE, WEATHER, SceneTest, bash, environment,
-                     files_in, run, start, temporaries)
-
-
-@contextlib.contextmanager
-def small_disk(folder, options):
-    """A file system of its own on `folder`; skips the test where mounting is not allowed."""
-    folder.mkdir(exist_ok=True)
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)], capture_output=True)
-    if mounted.returncode != 0:
-        raise unittest.SkipTest("needs the right to mount a tmpfs")
-    try:
-        yield folder
-    finally:
-        subprocess.run(["umount", str(folder)], check=True)
+                     files_in, run, small_disk, start, temporaries)
 
 
 class Targets(SceneTest):

@@ -3,6 +3,7 @@
 The program's path is in SEKITEI, the data folder in SEKITEI_DATA; ctest sets both.
 """
 
+import contextlib
 import datetime
 import json
 import os
@@ -73,6 +74,19 @@ samples = 2
 bounces = 1
 write = "rock.png"
 """
+
+
+@contextlib.contextmanager
+def small_disk(folder, options):
+    """A file system of its own on `folder`; skips the test where mounting is not allowed."""
+    folder.mkdir(exist_ok=True)
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)], capture_output=True)
+    if mounted.returncode != 0:
+        raise unittest.SkipTest("needs the right to mount a tmpfs")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
 
 
 def spring_weather(days=70):

@@ -278,6 +278,26 @@ TEST_F(VdbFile, DomainHistoryAndPointsComeBackExactly)
     }
 }
 
+TEST_F(VdbFile, NegativeZerosOfPointsAreZeros)
+{
+    // A block of nothing but zeros is stored as one of them.
+    for (const float first : {0.0f, -0.0f}) {
+        Scene scene;
+        Points& p = scene.points["p"];
+        p.position = {{first, 1, 2}, {-first, 1, 2}, {0.01, 1, 2}};
+        p.attributes["f"] = std::vector<float>{first, -first, first};
+        p.attributes["d"] = std::vector<double>{-first, first, first};
+        p.attributes["N"] = std::vector<Vec3f>{{first, 0, 1}, {-first, 0, 1}, {first, 0, 1}};
+        p.attributes["q"] = std::vector<std::array<float, 4>>{
+            {first, 0, 0, 1}, {-first, 0, 0, 1}, {first, 0, 0, 1}};
+        const Points read = round_trip(scene).points_of("p");
+        EXPECT_EQ(content_hash(read), content_hash(p));
+        for (const float x : std::get<std::vector<float>>(read.attributes.at("f")))
+            EXPECT_FALSE(std::signbit(x));
+        for (const Vec3d x : read.position) EXPECT_FALSE(std::signbit(x.x));
+    }
+}
+
 TEST_F(VdbFile, AnEmptySceneIsAFile)
 {
     const Scene back = round_trip(Scene{});
