@@ -189,8 +189,8 @@ class Help(CliTest):
                         self.assertIn(f"[{p['unit']}]", entry)
                     for key in ("minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum"):
                         if key in p:
-                            bound = f"{p[key]:.10g}"
-                            self.assertRegex(entry, rf"[^\d.-]{re.escape(bound)}\b")
+                            bound = {f"{p[key]:.10g}", f"{p[key]:.17g}"}
+                            self.assertRegex(entry, rf"[^\d.-]({'|'.join(map(re.escape, bound))})\b")
                     default = p["default"]
                     self.assertRegex(entry, r"default \S+", entry)
                     if default is None:
