@@ -1,0 +1,4 @@
+#include "solvers/tree/crown_light.h"
+
+namespace sekitei::tree {
+}  // namespace sekitei::tree

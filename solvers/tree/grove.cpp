@@ -1,0 +1,4 @@
+#include "solvers/tree/grove.h"
+
+namespace sekitei::tree {
+}  // namespace sekitei::tree

@@ -1,0 +1,4 @@
+#include "solvers/tree/patches.h"
+
+namespace sekitei::tree {
+}  // namespace sekitei::tree

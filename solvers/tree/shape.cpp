@@ -1,0 +1,4 @@
+#include "solvers/tree/shape.h"
+
+namespace sekitei::tree {
+}  // namespace sekitei::tree

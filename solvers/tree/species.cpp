@@ -1,0 +1,10 @@
+#include "solvers/tree/species.h"
+
+namespace sekitei::tree {
+
+void validate(const Species& species)
+{
+    validate_described("tree", species);
+}
+
+}  // namespace sekitei::tree

@@ -1,0 +1,4 @@
+#include "solvers/tree/surroundings.h"
+
+namespace sekitei::tree {
+}  // namespace sekitei::tree

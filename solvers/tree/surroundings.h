@@ -1,0 +1,77 @@
+#pragma once
+
+#include <limits>
+#include <memory>
+#include <vector>
+
+#include "core/mesh.h"
+#include "core/progress.h"
+#include "core/vec.h"
+#include "grids/leaf_grid.h"
+
+/// What stands around trees: rocks, walls, the shade of other forests. World space, metres.
+namespace sekitei::tree {
+
+/// A solid thing. Questions come from any number of threads.
+class Obstacle {
+public:
+    virtual ~Obstacle() = default;
+    /// Whether the half-line meets it.
+    /// @param direction  unit
+    virtual bool blocks(Vec3d from, Vec3d direction) const = 0;
+    /// Signed distance, negative inside; exact within `reach()` of the surface, beyond that at
+    /// least reach() [m].
+    virtual double distance(Vec3d at) const = 0;
+    virtual double reach() const = 0;
+    /// Unit normal of the surface nearest to a place, outwards; near the surface only.
+    virtual Vec3d away(Vec3d at) const = 0;
+};
+
+/// A level set: rays are marched through its narrow band, leaf by leaf.
+/// @param grid  negative inside; copied by reference, must outlive the obstacle
+/// @throws InvalidInput  no level set: no active voxels, values that are not finite, or no inside
+std::unique_ptr<Obstacle> level_set_obstacle(const FloatGrid& grid);
+
+/// A closed mesh, by Embree; inside by the winding of what is nearest.
+/// @param reach  [m]
+std::unique_ptr<Obstacle> mesh_obstacle(TriMesh mesh, double reach, const Progress& progress);
+
+/// Shade of leaves that are not the tree's own: exp(-G integral LAD dl) along half-lines.
+class BackgroundShade {
+public:
+    /// @param leaf_area_density  `canopy_lad` [1/m], trilinear between voxel centres, 0 outside;
+    ///                           must outlive this
+    /// @param projection         G, leaf projection factor, 0..1
+    BackgroundShade(const FloatGrid& leaf_area_density, double projection);
+    double transmittance(Vec3d from, Vec3d direction) const;
+
+private:
+    const FloatGrid* grid_;
+    double projection_;
+    Vec3d lower_, upper_;  ///< box of the active voxels [m]
+};
+
+/// All of it.
+struct Surroundings {
+    std::vector<std::unique_ptr<Obstacle>> obstacles;
+    std::unique_ptr<BackgroundShade> shade;
+
+    bool empty() const { return obstacles.empty() && !shade; }
+    bool blocks(Vec3d from, Vec3d direction) const
+    {
+        for (const auto& o : obstacles)
+            if (o->blocks(from, direction)) return true;
+        return false;
+    }
+    /// The nearest obstacle to a place; null where there is none.
+    const Obstacle* nearest(Vec3d at, double& distance) const
+    {
+        const Obstacle* found = nullptr;
+        distance = std::numeric_limits<double>::infinity();
+        for (const auto& o : obstacles)
+            if (const double d = o->distance(at); d < distance) distance = d, found = o.get();
+        return found;
+    }
+};
+
+}  // namespace sekitei::tree
