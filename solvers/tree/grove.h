@@ -150,7 +150,9 @@ public:
     const std::vector<Plant>& plants() const { return plants_; }
     const std::vector<Species>& species() const { return species_; }
     const GroveParams& params() const { return params_; }
-    /// Living tips' balls.
+    /// Branches that bear leaves: living tips, and with leaf_retention the youngest behind them.
+    std::vector<std::uint32_t> foliage() const;
+    /// Their balls, in the same order.
     Balls balls() const;
     const Species& species_of(std::size_t branch) const
     {
@@ -191,8 +193,29 @@ public:
           const Surroundings* surroundings = nullptr);
 
 private:
-    struct Children;
-    // (private part is grove.cpp's business)
+    struct Candidates;
+    using Index = std::uint32_t;
+
+    void check(const std::vector<Plant>& plants) const;
+    void place(std::size_t plant);
+    bool may_grow(std::size_t tip) const;
+    CrownLightParams light_params() const;
+    Sight look(Vec3d from, std::size_t patch) const;
+    int period_of(const Species& species, bool strong) const;
+    void find_boughs();
+    void sprout(Candidates& children, const Progress& progress);
+    void branch(Candidates& children);
+    CrownLight light(const Candidates& children, const Progress& progress) const;
+    bool collides(Vec3d start, Vec3d direction, double length, double floor, Vec3d& away) const;
+    std::vector<std::int32_t> living_children() const;
+    void kill(std::size_t branch, std::vector<std::int32_t>& children);
+    std::size_t shed();
+    void cut(const std::vector<std::uint8_t>& gone);
+    void weather_dead_wood();
+    std::vector<double> pipes() const;
+    void forget(const std::vector<std::uint8_t>& gone);
+    void survey(GenerationStatistics& statistics) const;
+
     GroveParams params_;
     std::vector<Species> species_;
     std::vector<Plant> plants_;
@@ -201,8 +224,9 @@ private:
     std::uint64_t seed_ = 0, next_root_ = 0;
     int generation_ = 0;
     Branches branches_;
-    std::vector<std::uint32_t> tips_;
+    std::vector<Index> tips_;
     std::vector<State::Bud> buds_;
+    std::vector<Index> bough_of_;  // root of each branch's bough; itself where there is none
 };
 
 /// p turned by share I of its angle to u, in their plane [Kanamaru1992, fig. 4]; opposite ones turn

@@ -62,7 +62,7 @@ struct Species {
     int latent_age = 100;
     int active_period = 0;
     int shed_delay = 0;
-    int strong_boughs = 3;
+    int strong_boughs = 0;
     int bough_generation = 3;
     double dead_persist = 0;
     // Wood and leaves.
