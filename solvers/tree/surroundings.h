@@ -20,20 +20,26 @@ public:
     /// @param direction  unit
     virtual bool blocks(Vec3d from, Vec3d direction) const = 0;
     /// Signed distance, negative inside; exact within `reach()` of the surface, beyond that at
-    /// least reach() [m].
+    /// least reach(), infinite where nothing is known [m].
     virtual double distance(Vec3d at) const = 0;
     virtual double reach() const = 0;
     /// Unit normal of the surface nearest to a place, outwards; near the surface only.
     virtual Vec3d away(Vec3d at) const = 0;
 };
 
-/// A level set: rays are marched through its narrow band, leaf by leaf.
-/// @param grid  negative inside; copied by reference, must outlive the obstacle
-/// @throws InvalidInput  no level set: no active voxels, values that are not finite, or no inside
+/// A level set: rays are marched through its narrow band, leaf by leaf; what is less than 1/100
+/// voxel deep may be passed. Its reach is the band less 1.75 voxels.
+/// @param grid  negative inside; must outlive the obstacle
+/// @throws InvalidInput  no level set: no band, no active voxels, nothing inside, values beyond the
+///                       background or not finite
 std::unique_ptr<Obstacle> level_set_obstacle(const FloatGrid& grid);
 
-/// A closed mesh, by Embree; inside by the winding of what is nearest.
-/// @param reach  [m]
+/// A closed mesh, by Embree. Inside is where it winds around a place more than half a time: parts
+/// may overlap (depth is then that under the nearest wall of any), and which way all of it is wound
+/// does not matter. Sheets block rays but have no inside.
+/// @param reach  to which distances are worked out [m]
+/// @throws InvalidInput      no triangles, or vertices that are not finite
+/// @throws InvalidParameter  reach <= 0
 std::unique_ptr<Obstacle> mesh_obstacle(TriMesh mesh, double reach, const Progress& progress);
 
 /// Shade of leaves that are not the tree's own: exp(-G integral LAD dl) along half-lines.
@@ -42,13 +48,19 @@ public:
     /// @param leaf_area_density  `canopy_lad` [1/m], trilinear between voxel centres, 0 outside;
     ///                           must outlive this
     /// @param projection         G, leaf projection factor, 0..1
+    /// @throws InvalidInput      a density below 0 or not finite, or a background that is not 0
+    /// @throws InvalidParameter  projection
     BackgroundShade(const FloatGrid& leaf_area_density, double projection);
+    /// Exact for the trilinear field. From any number of threads.
+    /// @param direction  unit
     double transmittance(Vec3d from, Vec3d direction) const;
 
 private:
     const FloatGrid* grid_;
     double projection_;
-    Vec3d lower_, upper_;  ///< box of the active voxels [m]
+    TopologyPtr blocks_;          ///< 8^3 cells between voxel centres where there are leaves
+    std::vector<float> uniform_;  ///< density of those with one only, else -1
+    Coord lower_, upper_;         ///< box of the blocks, in blocks
 };
 
 /// All of it.
