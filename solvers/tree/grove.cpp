@@ -388,12 +388,18 @@ void Grove::sprout(Candidates& children, const Progress& progress)
             children.add(-1, bud.tree, bud.key, 0, 0, bud.at, bud.direction, 1, -1);
     std::erase_if(buds_, [&](const State::Bud& bud) { return bud.generation <= generation_; });
 
-    // Who would sprout is drawn first: light is dearer than chance.
+    // A branch that grows keeps the buds below it asleep; only where it was cut do they wake. Who
+    // would sprout is drawn first: light is dearer than chance.
     const Branches& b = branches_;
+    std::vector<std::uint8_t> released(b.size());
+    for (std::size_t i = b.size(); i-- > 0;) {
+        released[i] |= b.is(i, Branches::kCut);
+        if (b.parent[i] >= 0) released[std::size_t(b.parent[i])] |= released[i];
+    }
     std::vector<Index> waking;
     for (std::size_t i = 0; i < b.size(); ++i) {
         const Species& kind = species_of(i);
-        if (kind.latent_share == 0 || !b.alive(i) || b.is(i, Branches::kTip) ||
+        if (kind.latent_share == 0 || !released[i] || !b.alive(i) || b.is(i, Branches::kTip) ||
             b.is(i, Branches::kSpent) || generation_ - b.generation[i] > kind.latent_age)
             continue;
         if (uniform_of_key(b.key[i], kSproutOf) >= kind.latent_share) continue;

@@ -108,7 +108,7 @@ struct Species {
         field("leader_tropism", &Species::leader_tropism, "", kFraction,
               "conifer: I of the leader");
         field("latent_share", &Species::latent_share, "", kFraction,
-              "branches that keep a dormant bud; 0: none, 1: all");
+              "branches that keep a dormant bud, which a cut above it wakes; 0: none, 1: all");
         field("latent_light", &Species::latent_light, "", kFraction,
               "light from which dormant buds sprout");
         field("latent_chance", &Species::latent_chance, "", kFraction,
