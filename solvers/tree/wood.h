@@ -14,7 +14,10 @@ namespace sekitei::tree {
 
 /// Pipe model: a = r^e is tip_radius^e at tips, else the sum over the children plus what dead tips
 /// left, pipe_memory tip_radius^e each [Shinozaki1964].
-/// @return r of each branch [m]; dead wood counts like living
+/// Dead wood adds nothing to what lives and bears it (what its tips left is counted already), and
+/// is at most as thick as that.
+/// @return r of each branch [m]; never less than that of what it bears
+/// @throws InvalidInput  a tree or species that does not exist, a parent that does not come first
 std::vector<double> thickness(const Branches& branches, std::span<const Species> species,
                               std::span<const Plant> plants);
 /// The same on a bare graph, for tests and others: parents before children.
@@ -27,9 +30,19 @@ struct BarkParams {
     int least_sides = 4, most_sides = 32;
 };
 /// Tubes of bark: one closed, outward, 2-manifold generalised cylinder for each chain of branches
-/// (a parent and its thickest child go on as one), rings turned without twist along it; ends are
-/// capped, and side chains begin inside their parent. Vertex attributes `uv` (Vec3f: metres around,
-/// metres along, 0), `radius`; face attributes `branch` (index), `tree`.
+/// (a parent and its thickest child go on as one), its rings at planes that halve the bends, turned
+/// without twist along it. Rings have as many corners as their radius asks for, and may have fewer
+/// than the ring below. Side limbs begin on their parent's axis, within it, with a flare; ends are
+/// capped. Sharp bends are pinched rather than folded; kinks shorter than 0.7 radii are left out.
+///
+/// Vertex attributes `normal` (Vec3f), `radius` [m]; face attributes `branch` (index), `tree`, and
+/// `uv_0`, `uv_1`, `uv_2` (Vec3f: metres around, metres along, 0) of the three corners, with the
+/// seam at half a turn from 0: OBJ and PLY take them as texture coordinates (core/mesh_io.h).
+/// @param radius  of each branch [m], as of thickness()
+/// @throws InvalidInput      another number of radii, what is not finite or not above 0
+/// @throws InvalidParameter  params, unit_length
+///
+/// Bit-identical for any number of threads. No branches: no triangles.
 TriMesh bark_tubes(const Branches& branches, std::span<const double> radius, double unit_length,
                    const BarkParams& params, const Progress& progress);
 

@@ -1,0 +1,4 @@
+#include "solvers/tree/wood.h"
+
+namespace sekitei::tree {
+}  // namespace sekitei::tree
