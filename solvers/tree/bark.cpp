@@ -20,7 +20,8 @@ using math::kPi;
 constexpr double kNearest = 0.7;  // stations of a bent limb that lie nearer become one
 constexpr double kSpacing = 10;   // most between rings, in BarkParams::edge
 constexpr double kFlare = 1.35;   // thickness of a side limb where it leaves its parent
-constexpr double kHidden = 0.9;   // most of the parent's radius that its first ring may have
+constexpr double kHidden =
+    0.95;  // share of its parent's inscribed circle that its first ring may fill
 constexpr double kFlareLength = 2.5;
 constexpr double kMiter = 1.5;   // most that a ring is widened across a bend
 constexpr double kReach = 0.45;  // most of a piece of limb that a slanting ring takes up
@@ -195,6 +196,13 @@ private:
         return Vec3f(Vec3d(dot(off, ring.right), dot(off, ring.ahead), 0));
     }
 
+    std::uint32_t corners(double radius) const
+    {
+        return static_cast<std::uint32_t>(std::clamp(2 * kPi * radius / params_.edge + 0.5,
+                                                     double(params_.least_sides),
+                                                     double(params_.most_sides)));
+    }
+
     std::vector<Station> stations(std::size_t chain) const
     {
         const auto limb = chains_[chain];
@@ -215,9 +223,10 @@ private:
             if (k == 0 && branches_.parent[b] >= 0) {
                 // A side limb begins in the middle of its parent, and thicker than it goes on.
                 const double parent = radius_[chains_.next[std::size_t(branches_.parent[b])]];
-                double first = std::min(r0, kHidden * parent);
+                const double hidden = kHidden * parent * math::cos(kPi / corners(parent));
+                double first = std::min(r0, hidden);
                 if (2 * kPi * r0 > 1.5 * params_.least_sides * params_.edge) {
-                    first = std::min(kFlare * r0, kHidden * parent);
+                    first = std::min(kFlare * r0, hidden);
                     const double sine =
                         length(cross(normalized(to - from),
                                      branches_.direction[std::size_t(branches_.parent[b])]));
@@ -299,9 +308,7 @@ private:
                 ring.slope = (list[j].radius - list[j + 1].radius) / size[j];
             else if (j > 0)
                 ring.slope = rings[j - 1].slope;
-            const auto wanted = static_cast<std::uint32_t>(
-                std::clamp(2 * kPi * (j == 0 ? thickest : ring.radius) / params_.edge + 0.5,
-                           double(params_.least_sides), double(params_.most_sides)));
+            const std::uint32_t wanted = corners(j == 0 ? thickest : ring.radius);
             // Few steps from one number of sides to the next.
             if (sides == 0 || 4 * wanted <= 3 * sides ||
                 wanted == std::uint32_t(params_.least_sides))
