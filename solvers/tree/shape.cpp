@@ -256,15 +256,17 @@ Shape shape_of(const Grove& grove, int tree)
     const auto n = static_cast<double>(tips.size());
     Bounds box;
     double squares = 0;
+    std::size_t upward = 0;
     for (std::size_t i = 0; i < tips.size(); ++i) {
         box.add(ends[i]);
         squares += ends[i].x * ends[i].x + ends[i].y * ends[i].y;
         shape.radius_max = std::max(shape.radius_max, across(ends[i]));
         shape.mean_height += (ends[i].z + from_ground) / n;
         shape.mean_light += grove.branches().light[tips[i]] / n;
-        shape.upward += (grove.branches().direction[tips[i]].z > 0 ? 1 : 0) / n;
+        upward += grove.branches().direction[tips[i]].z > 0;
     }
     shape.tips = tips.size();
+    shape.upward = static_cast<double>(upward) / n;
     shape.weeping = weeping_of(grove, tips);
     shape.radius_rms = std::sqrt(squares / n);
     shape.lowest = box.lower.z + from_ground;
