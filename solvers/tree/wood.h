@@ -46,14 +46,27 @@ struct BarkParams {
 TriMesh bark_tubes(const Branches& branches, std::span<const double> radius, double unit_length,
                    const BarkParams& params, const Progress& progress);
 
-/// Level set of the wood: union of tapered capsules, joined by a smooth minimum; 3-voxel band at
-/// least, negative inside [m].
+/// Level set of the wood: tapered capsules, a limb's joined by the minimum, those of limbs that
+/// meet by a smooth one, 0.7 radii of the thinner limb wide. Band of kBandVoxels, negative inside
+/// [m]; voxels count from (0, 0, 0) on, from a place at a multiple of 8 voxels.
+///
+/// Branches thinner than half a voxel are left out, but for trees' first ones: as thick as voxels
+/// they would make a crown of their own. The others are drawn no thinner than half a voxel's
+/// diagonal, so that what is left of a tree hangs together once it is meshed.
+/// @param voxel  [m]
+/// @throws InvalidInput, InvalidParameter  as bark_tubes()
 /// @throws LimitExceeded  estimated before anything is allocated
+///
+/// Bit-identical for any number of threads.
 FloatGrid wood_level_set(const Branches& branches, std::span<const double> radius,
                          double unit_length, double voxel, const Progress& progress);
 
 /// Leaf area of a ball, pi r^2 (-ln tau) / G: Beer's law over the mean chord 4r/3 gives tau [m^2].
+/// @throws InvalidParameter  transmission 0: opaque balls have no number of leaves
 double leaf_area(double radius, double transmission, double projection);
+
+/// Area of a leaf by its length squared: an ellipse half as wide as long.
+inline constexpr double kLeafShape = 0.39269908169872414;
 
 struct Leaves {
     std::vector<Vec3d> position;  ///< [m]
@@ -64,8 +77,13 @@ struct Leaves {
     std::vector<float> area;    ///< [m^2]
     std::vector<std::int32_t> ball, species, tree;
 };
-/// Leaves of all living tips' balls: so many of leaf_size that areas add up, stratified in the
-/// ball.
+/// Leaves of all balls (Grove::foliage()): as many of leaf_size as come nearest to leaf_area(), and
+/// so large that they add up to it. Spread evenly in the ball; normals any, or about light_vector
+/// with de Wit's planophile density; both of them keyed by the branch.
+/// @throws InvalidParameter  transmission 0
+/// @throws LimitExceeded     estimated before anything is allocated
+///
+/// Bit-identical for any number of threads.
 Leaves leaves(const Grove& grove, std::uint64_t seed);
 
 struct Canopy {
@@ -73,7 +91,13 @@ struct Canopy {
     FloatGrid drag;               ///< `canopy_RU`, Cd times that [1/m]
     FloatGrid light;              ///< `tree_light`, L of the brightest ball over a voxel
 };
-/// @param voxel  [m]
+/// Leaves as fog: each ball's area spread evenly over the voxels it covers, those at its rim in
+/// part; the integral is exact up to rounding. Voxels as of wood_level_set().
+/// @param voxel  [m]; balls smaller than one go into one to four
+/// @throws InvalidParameter  voxel, transmission 0
+/// @throws LimitExceeded     estimated before anything is allocated
+///
+/// Bit-identical for any number of threads.
 Canopy canopy(const Grove& grove, double voxel, const Progress& progress);
 
 /// Cd of canopies, drag by leaf area density.

@@ -11,6 +11,8 @@
 #include "core/error.h"
 #include "core/mesh_intersections.h"
 #include "core/parallel.h"
+#include "grids/marching_tetrahedra.h"
+#include "solvers/tree/surroundings.h"
 #include "tests/solvers/tree/limbs.h"
 #include "tests/support/mesh_check.h"
 
@@ -290,6 +292,446 @@ TEST(Bark, NamesWhatIsWrong)
     bad.parent[1] = 3;
     EXPECT_THAT([&] { bark_tubes(bad, radius, kUnit, {}, {}); },
                 ThrowsMessage<InvalidInput>(HasSubstr("branch 1 has the parent 3")));
+}
+
+TriMesh meshed(const FloatGrid& wood)
+{
+    TriMesh mesh = marching_tetrahedra(wood, 0, {});
+    for (auto& t : mesh.triangles) std::swap(t[1], t[2]);  // inside is negative
+    return mesh;
+}
+
+TEST(WoodLevelSet, OfATaperedLimbIsItsDistance)
+{
+    // Branch 1 goes on from branch 0 with half its radius.
+    Limbs limbs;
+    limbs.add(-1, {1, 2, 3}, 5, false, {2, 1, -1});
+    limbs.add(0, {1, 2, 3}, 2);
+    const double r0 = 0.1, r1 = 0.05, voxel = 0.0125;
+    const FloatGrid wood = wood_level_set(limbs.branches, std::vector{r0, r1}, kUnit, voxel, {});
+    EXPECT_FLOAT_EQ(wood.background(), static_cast<float>(4 * voxel));
+    // Brute force: balls along the limb.
+    const Vec3d from = limbs.branches.start[0] * kUnit, middle = limbs.branches.end(0) * kUnit,
+                to = limbs.branches.end(1) * kUnit;
+    GridReader<float> reader(wood);
+    std::size_t seen = 0;
+    for (std::uint64_t i = 0; i < 6000; ++i) {
+        Vec3d at;
+        for (int k = 0; k < 3; ++k) {
+            const double low = std::min(from[k], to[k]) - 0.2,
+                         high = std::max(from[k], to[k]) + 0.2;
+            at[k] = low + (high - low) * uniform_of_key(i, std::uint64_t(k));
+        }
+        const Coord c(static_cast<int>(std::floor(wood.transform().voxels(at).x)),
+                      static_cast<int>(std::floor(wood.transform().voxels(at).y)),
+                      static_cast<int>(std::floor(wood.transform().voxels(at).z)));
+        const Vec3d centre = wood.transform().world(centre_of(c));
+        double exact = INFINITY;
+        for (int s = 0; s <= 1000; ++s) {
+            const double f = s / 1000.0;
+            exact =
+                std::min(exact, length(from + (middle - from) * f - centre) - r0 - (r1 - r0) * f);
+            exact = std::min(exact, length(middle + (to - middle) * f - centre) - r1);
+        }
+        const double found = double(reader.value(c));
+        EXPECT_NEAR(found, std::clamp(exact, -4 * voxel, 4 * voxel), 1e-5);
+        EXPECT_EQ(reader.active(c), std::abs(found) < 4 * voxel - 1e-7);
+        seen += reader.active(c);
+    }
+    EXPECT_GT(seen, 100u);
+}
+
+TEST(WoodLevelSet, IsOneClosedPieceForEachTree)
+{
+    for (const double tip : {0.0015, 0.01, 0.03})
+        for (const Branches& b : {fork(), whorls(5), wander(20, 1, 0.4, 9)}) {
+            for (const double voxel : {0.02, 0.05}) {
+                SCOPED_TRACE(testing::Message() << "tip " << tip << " voxel " << voxel);
+                const auto radius = radii(b, tip);
+                const TriMesh mesh = meshed(wood_level_set(b, radius, kUnit, voxel, {}));
+                const MeshReport report = inspect(mesh);
+                EXPECT_TRUE(report.closed());
+                EXPECT_EQ(report.pieces, 1u);
+                EXPECT_GT(report.volume, 0);
+            }
+        }
+}
+
+TEST(WoodLevelSet, HasTheVolumeOfTheBark)
+{
+    const Branches b = fork();
+    const auto radius = radii(b, 0.02);
+    const TriMesh by_grid = meshed(wood_level_set(b, radius, kUnit, 0.004, {}));
+    double by_bark = 0;
+    for (const TriMesh& piece :
+         pieces_of(bark_tubes(b, radius, kUnit, {.edge = 0.004, .most_sides = 64}, {})))
+        by_bark += piece.signed_volume();
+    // Tubes overlap at forks, capsules have round ends and fillets.
+    EXPECT_NEAR(by_grid.signed_volume(), by_bark, 0.1 * by_bark);
+}
+
+TEST(WoodLevelSet, HollowsBetweenLimbsAreFilled)
+{
+    Limbs limbs;
+    const auto trunk = limbs.add(-1, {0, 0, 1}, 3);
+    limbs.add(trunk, {1, 0, 1}, 3);
+    limbs.add(trunk, {-1, 0, 1}, 3);
+    const std::vector<double> radius{0.05, 0.05, 0.05};
+    const double voxel = 0.01;
+    const FloatGrid wood = wood_level_set(limbs.branches, radius, kUnit, voxel, {});
+    GridReader<float> reader(wood);
+    // In the crotch, as far from both arms; and where only one is near.
+    auto at = [&](Vec3d p) { return double(reader.sample(wood.transform().voxels(p))); };
+    const double height = 0.12, plain = height / std::sqrt(2.0) - 0.05;
+    EXPECT_NEAR(at({0, 0, 0.6 + height}), plain - 0.7 * 0.05 / 4, 0.002);
+    EXPECT_NEAR(at({0.3 - 0.05, 0, 0.6 + 0.3 + 0.05}), 0.1 / std::sqrt(2.0) - 0.05, 0.001);
+    // Nowhere steeper than a distance.
+    for (std::size_t leaf = 0; leaf < wood.leaf_count(); ++leaf)
+        wood.mask(leaf).for_each([&](int o) {
+            const Coord c = leaf_coord(wood.origin(leaf), o);
+            for (int k = 0; k < 3; ++k) {
+                Coord d;
+                d[k] = 1;
+                EXPECT_LE(std::abs(double(reader.value(c + d)) - double(wood.at(leaf, o))),
+                          1.02 * voxel);
+            }
+        });
+}
+
+TEST(WoodLevelSet, ThinBranchesAreLeftOutButNotTheFirst)
+{
+    const Branches b = fork();
+    const auto radius = radii(b);
+    const FloatGrid thin = wood_level_set(b, radius, kUnit, 0.02, {});
+    // The first branch alone, half a voxel's diagonal thick.
+    const double r = 0.87 * 0.02, l = 4 * kUnit;
+    const double capsule = std::numbers::pi * r * r * (l + 4.0 / 3 * r);
+    EXPECT_NEAR(meshed(thin).signed_volume(), capsule, 0.35 * capsule);
+    const FloatGrid none = wood_level_set({}, {}, kUnit, 0.02, {});
+    EXPECT_EQ(none.leaf_count(), 0u);
+    EXPECT_FLOAT_EQ(none.background(), 0.08f);
+}
+
+bool same(const FloatGrid& a, const FloatGrid& b)
+{
+    if (!(a.transform() == b.transform()) || a.topology()->origins() != b.topology()->origins())
+        return false;
+    for (std::size_t leaf = 0; leaf < a.leaf_count(); ++leaf) {
+        if (!(a.mask(leaf) == b.mask(leaf)) || a.is_constant(leaf) != b.is_constant(leaf))
+            return false;
+        for (int o = 0; o < kLeafSize; ++o)
+            if (a.at(leaf, o) != b.at(leaf, o)) return false;
+    }
+    return true;
+}
+
+TEST(WoodLevelSet, IsTheSameOnAnyNumberOfThreads)
+{
+    const Branches b = whorls(8);
+    const auto radius = radii(b, 0.006);
+    auto on = [&](std::size_t threads) {
+        const ThreadLimit limit(threads);
+        return wood_level_set(b, radius, kUnit, 0.01, {});
+    };
+    EXPECT_TRUE(same(on(1), on(4)));
+}
+
+TEST(WoodLevelSet, TellsWhatItWouldNeed)
+{
+    const Branches b = fork();
+    const auto radius = radii(b);
+    EXPECT_THAT([&] { wood_level_set(b, radius, 1000, 1e-5, {}); },
+                ThrowsMessage<LimitExceeded>(HasSubstr("use a larger voxel")));
+    EXPECT_THAT([&] { wood_level_set(b, std::vector<double>(5, 1.0), kUnit, 1e-4, {}); },
+                ThrowsMessage<LimitExceeded>(HasSubstr("wood level set: needs")));
+    EXPECT_THAT([&] { wood_level_set(b, radius, kUnit, 0, {}); },
+                ThrowsMessage<InvalidParameter>(HasSubstr("voxel of the wood = 0 m")));
+}
+
+/// A grove that has grown a little.
+Grove grove(int generations, Species species = {}, double tau = 0.9)
+{
+    GroveParams params;
+    params.transmission = tau;
+    Grove g(params, {species}, {Plant{.origin = {3, -2, 0}}, Plant{.origin = {20, 5, 0}}}, 3);
+    g.grow(generations);
+    return g;
+}
+
+TEST(Leaves, AddUpToTheLeafAreaOfTheirBalls)
+{
+    const Grove g = grove(8);
+    ASSERT_GT(g.tips(), 10u);
+    const double ball = leaf_area(0.4, 0.9, 0.5);
+    EXPECT_NEAR(ball, 0.106, 5e-4);
+    const Leaves list = leaves(g, 1);
+    std::vector<double> area(g.tips());
+    const Balls balls = g.balls();
+    for (std::size_t i = 0; i < list.area.size(); ++i) {
+        const auto b = std::size_t(list.ball[i]);
+        area[b] += double(list.area[i]);
+        EXPECT_LE(length(list.position[i] - balls.centre[b] * 0.2), 0.4 + 1e-9);
+        EXPECT_FLOAT_EQ(4 * list.pscale[i] * list.pscale[i], list.area[i]);
+        EXPECT_NEAR(double(list.area[i]), kLeafShape * 0.06 * 0.06,
+                    0.01 * kLeafShape * 0.06 * 0.06);
+        EXPECT_EQ(list.tree[i], g.branches().tree[g.tip_list()[b]]);
+        EXPECT_EQ(list.species[i], 0);
+    }
+    for (const double a : area) EXPECT_NEAR(a, ball, 1e-5);
+}
+
+TEST(Leaves, ABallLooksAsThinAsItsTransmission)
+{
+    // Lines at random through one ball with its leaves as discs: on average they pass as Beer says
+    // (of many small leaves; few large ones hide one another less evenly).
+    Species small;
+    small.leaf_size = 0.02;
+    GroveParams params;
+    params.transmission = 0.6;
+    const Grove g(params, {small}, {Plant{}}, 5);
+    const Leaves list = leaves(g, 1);
+    const Vec3d centre = g.balls().centre[0] * 0.2;
+    const double radius = 0.4;
+    double depth = 0, chords = 0;
+    int lines = 0;
+    for (std::uint64_t i = 0; i < 4000; ++i) {
+        const double z = 2 * uniform_of_key(i, 0) - 1, a = 6.283185307 * uniform_of_key(i, 1);
+        const Vec3d way(std::sqrt(1 - z * z) * std::cos(a), std::sqrt(1 - z * z) * std::sin(a), z);
+        const Vec3d h = fork_axis(way), k = cross(way, h);
+        const double r = radius * std::sqrt(uniform_of_key(i, 2)),
+                     t = 6.283185307 * uniform_of_key(i, 3);
+        const Vec3d at = centre + (h * std::cos(t) + k * std::sin(t)) * r;
+        for (std::size_t l = 0; l < list.area.size(); ++l) {
+            const Vec3d n(list.normal[l]);
+            const double slope = dot(n, way);
+            if (slope == 0) continue;
+            const Vec3d hit = at + way * (dot(n, list.position[l] - at) / slope);
+            const double disc = double(list.area[l]) / std::numbers::pi;
+            const Vec3d off = hit - list.position[l];
+            depth += dot(off, off) < disc;
+        }
+        chords += 2 * std::sqrt(radius * radius - r * r);
+        ++lines;
+    }
+    EXPECT_NEAR(chords / lines, 4.0 / 3 * radius, 0.01);
+    EXPECT_NEAR(depth / lines, -std::log(0.6), 0.03);
+}
+
+TEST(Leaves, FillTheirBallEvenly)
+{
+    Species small;
+    small.leaf_size = 0.01;
+    const Grove g(GroveParams{}, {small}, {Plant{}}, 5);
+    const Leaves list = leaves(g, 1);
+    const Vec3d centre = g.balls().centre[0] * 0.2;
+    const double n = static_cast<double>(list.area.size());
+    ASSERT_GT(n, 1000);
+    Vec3d mean, normals;
+    int inner = 0;
+    for (std::size_t i = 0; i < list.area.size(); ++i) {
+        mean += (list.position[i] - centre) / n;
+        normals += Vec3d(list.normal[i]) / n;
+        inner += length(list.position[i] - centre) < 0.2;
+    }
+    EXPECT_LT(length(mean), 0.003);
+    EXPECT_NEAR(inner / n, 1.0 / 8, 0.005);
+    EXPECT_LT(length(normals), 0.05);
+}
+
+TEST(Leaves, OrientBringsZToTheNormal)
+{
+    for (const auto orientation : {LeafOrientation::Spherical, LeafOrientation::Planophile}) {
+        Species species;
+        species.leaf_orientation = orientation;
+        const Grove g = grove(6, species);
+        const Leaves list = leaves(g, 1);
+        double lean = 0;
+        for (std::size_t i = 0; i < list.area.size(); ++i) {
+            const auto [x, y, z, w] = list.orient[i];
+            EXPECT_NEAR(x * x + y * y + z * z + w * w, 1, 1e-6);
+            const Vec3d turned(2.0 * (x * z + w * y), 2.0 * (y * z - w * x),
+                               1 - 2.0 * (x * x + y * y));
+            EXPECT_LT(length(turned - Vec3d(list.normal[i])), 1e-6);
+            EXPECT_NEAR(double(length(list.normal[i])), 1, 1e-6);
+            const Vec3d u =
+                normalized(g.branches().light_vector[g.tip_list()[std::size_t(list.ball[i])]]);
+            lean += std::abs(dot(u, Vec3d(list.normal[i]))) / double(list.area.size());
+        }
+        // Mean of |cos|: 1/2 of spherical ones; of planophile ones 2/pi (1 + 1/3) = 0.849.
+        EXPECT_NEAR(lean, orientation == LeafOrientation::Spherical ? 0.5 : 0.849, 0.02);
+    }
+}
+
+TEST(Leaves, AreKeyedByTheirBranch)
+{
+    // A tree alone has the leaves that it has beside one too far to matter.
+    GroveParams params;
+    Grove one(params, {Species{}}, {Plant{}}, 3);
+    Grove two(params, {Species{}}, {Plant{}, Plant{.origin = {500, 0, 0}}}, 3);
+    const Leaves a = leaves(one, 4), b = leaves(two, 4), c = leaves(one, 5);
+    ASSERT_EQ(b.position.size(), 2 * a.position.size());
+    for (std::size_t i = 0; i < a.position.size(); ++i) {
+        EXPECT_EQ(a.position[i], b.position[i]);
+        EXPECT_EQ(a.orient[i], b.orient[i]);
+    }
+    EXPECT_NE(a.position, c.position);
+}
+
+TEST(Leaves, AreTheSameOnAnyNumberOfThreads)
+{
+    const Grove g = grove(8);
+    auto on = [&](std::size_t threads) {
+        const ThreadLimit limit(threads);
+        return leaves(g, 1);
+    };
+    const Leaves one = on(1), four = on(4);
+    EXPECT_EQ(one.position, four.position);
+    EXPECT_EQ(one.orient, four.orient);
+    EXPECT_EQ(one.area, four.area);
+}
+
+TEST(Leaves, OpaqueAndClearBalls)
+{
+    EXPECT_TRUE(leaves(grove(2, {}, 1.0), 1).area.empty());
+    EXPECT_THAT([] { leaves(grove(0, {}, 0.0), 1); },
+                ThrowsMessage<InvalidParameter>(HasSubstr("transmission = 0")));
+    EXPECT_THROW(leaf_area(0, 0.9, 0.5), InvalidParameter);
+    EXPECT_THROW(leaf_area(1, 0.9, 0), InvalidParameter);
+    Species tiny;
+    tiny.leaf_size = 1e-3;
+    tiny.ball_radius = 1e3;
+    EXPECT_THAT([&] { leaves(grove(0, tiny), 1); },
+                ThrowsMessage<LimitExceeded>(HasSubstr("raise leaf_size")));
+}
+
+double integral(const FloatGrid& grid)
+{
+    double sum = 0;
+    for (std::size_t leaf = 0; leaf < grid.leaf_count(); ++leaf)
+        for (int o = 0; o < kLeafSize; ++o) sum += double(grid.at(leaf, o));
+    return sum * std::pow(grid.transform().voxel, 3);
+}
+
+TEST(Canopy, HoldsAllLeafArea)
+{
+    const Grove g = grove(10);
+    const double all = double(g.tips()) * leaf_area(0.4, 0.9, 0.5);
+    for (const double voxel : {0.1, 0.35, 3.0}) {
+        const Canopy c = canopy(g, voxel, {});
+        EXPECT_EQ(c.leaf_area_density.background(), 0);
+        EXPECT_NEAR(integral(c.leaf_area_density), all, 1e-5 * all);
+        EXPECT_NEAR(integral(c.drag), kCanopyDrag * all, 1e-5 * all);
+    }
+}
+
+TEST(Canopy, BelongsWhereTheBallsAre)
+{
+    const Grove g(GroveParams{}, {Species{}}, {Plant{.origin = {3, -2, 1}}}, 5);
+    const Canopy c = canopy(g, 0.1, {});
+    const Vec3d centre(0.6, -0.4, 3.2);  // 15 branch lengths up
+    Vec3d mean;
+    double all = 0;
+    const FloatGrid& lad = c.leaf_area_density;
+    for (std::size_t leaf = 0; leaf < lad.leaf_count(); ++leaf)
+        lad.mask(leaf).for_each([&](int o) {
+            const Vec3d at = lad.transform().world(centre_of(leaf_coord(lad.origin(leaf), o)));
+            EXPECT_LE(length(at - centre), 0.45);
+            mean += at * double(lad.at(leaf, o));
+            all += double(lad.at(leaf, o));
+        });
+    EXPECT_LT(length(mean / all - centre), 0.003);
+    GridReader<float> density(lad), light(c.light);
+    const double even = leaf_area(0.4, 0.9, 0.5) / (4.0 / 3 * std::numbers::pi * 0.064);
+    EXPECT_NEAR(double(density.sample(lad.transform().voxels(centre))), even, 0.02 * even);
+    EXPECT_EQ(light.sample(c.light.transform().voxels(centre)), 1.0f);
+    EXPECT_EQ(light.sample(c.light.transform().voxels(centre + Vec3d(0.6, 0, 0))), 0.0f);
+}
+
+TEST(Canopy, LetsAsMuchLightPassAsABall)
+{
+    const Grove g(GroveParams{}, {Species{}}, {Plant{}}, 5);
+    const Canopy c = canopy(g, 0.05, {});
+    const BackgroundShade shade(c.leaf_area_density, 0.5);
+    // Over the disc: -ln tau on average.
+    double depth = 0, weight = 0;
+    for (int i = -40; i < 40; ++i)
+        for (int j = -40; j < 40; ++j) {
+            const double x = (i + 0.5) * 0.012, y = (j + 0.5) * 0.012;
+            depth -= std::log(shade.transmittance({x, y, 10}, {0, 0, -1}));
+            weight += x * x + y * y < 0.16;
+        }
+    EXPECT_NEAR(depth / weight, -std::log(0.9), 0.02 * -std::log(0.9));
+}
+
+TEST(Canopy, LightIsThatOfTheBrightestBall)
+{
+    const Grove g = grove(10);
+    const Canopy c = canopy(g, 0.1, {});
+    const Balls balls = g.balls();
+    GridReader<float> reader(c.light);
+    const auto foliage = g.foliage();
+    for (std::size_t i = 0; i < foliage.size(); ++i) {
+        const Vec3d v = c.light.transform().voxels(balls.centre[i] * 0.2);
+        const Coord at(static_cast<int>(v.x), static_cast<int>(v.y), static_cast<int>(v.z));
+        double brightest = 0;
+        for (std::size_t j = 0; j < foliage.size(); ++j)
+            if (length(c.light.transform().world(centre_of(at)) - balls.centre[j] * 0.2) < 0.4)
+                brightest = std::max(brightest, g.branches().light[foliage[j]]);
+        EXPECT_FLOAT_EQ(reader.value(at), static_cast<float>(brightest));
+    }
+}
+
+TEST(Canopy, IsTheSameOnAnyNumberOfThreads)
+{
+    const Grove g = grove(8);
+    auto on = [&](std::size_t threads) {
+        const ThreadLimit limit(threads);
+        return canopy(g, 0.1, {});
+    };
+    const Canopy one = on(1), four = on(4);
+    EXPECT_TRUE(same(one.leaf_area_density, four.leaf_area_density));
+    EXPECT_TRUE(same(one.light, four.light));
+}
+
+TEST(Canopy, BadVoxels)
+{
+    const Grove g = grove(0);
+    EXPECT_THAT([&] { canopy(g, -1, {}); },
+                ThrowsMessage<InvalidParameter>(HasSubstr("voxel of the canopy = -1 m")));
+    EXPECT_THROW(canopy(g, 1e-6, {}), LimitExceeded);
+}
+
+TEST(Wood, OfAGrownTreeIsSound)
+{
+    for (const Model model : {Model::Dichotomy, Model::Conifer, Model::Shoot}) {
+        Species species;
+        species.model = model;
+        if (model == Model::Conifer) {
+            species.ball_radius = 1;
+            species.death_threshold = 0.45;
+            species.tropism = 0.1;
+            species.first_length = 1;
+        }
+        const Grove g = grove(15, species);
+        const Branches& b = g.branches();
+        ASSERT_GT(b.size(), 100u);
+        const auto radius = thickness(b, g.species(), g.plants());
+        std::size_t limbs = 0, trees = 0;
+        std::vector<int> children(b.size());
+        for (std::size_t i = 0; i < b.size(); ++i) {
+            trees += b.parent[i] < 0;
+            if (b.parent[i] < 0) continue;
+            EXPECT_LE(radius[i], radius[std::size_t(b.parent[i])]);
+            limbs += children[std::size_t(b.parent[i])]++ > 0;
+        }
+        expect_limbs(bark_tubes(b, radius, kUnit, {}, {}), limbs + trees);
+        const TriMesh wood = meshed(wood_level_set(b, radius, kUnit, 0.01, {}));
+        EXPECT_TRUE(inspect(wood).closed());
+        if (model != Model::Shoot) {
+            EXPECT_EQ(inspect(wood).pieces, trees);
+        }
+        EXPECT_GT(wood.signed_volume(), 0);
+    }
 }
 
 }  // namespace
