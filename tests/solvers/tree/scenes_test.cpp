@@ -70,6 +70,7 @@ TEST(TreeScenes, DeadWoodLeavesTheLivingAlone)
 Grove mixed()
 {
     Species fork;
+    fork.death_threshold = 0.4;
     fork.latent_share = 0.7;
     fork.latent_light = 0.5;
     fork.latent_chance = 0.5;
@@ -87,6 +88,8 @@ Grove mixed()
     spruce.active_period = 6;
     spruce.strong_boughs = 2;
     spruce.latent_share = 1;
+    spruce.latent_light = 0.4;
+    spruce.latent_chance = 0.3;
     Species bush;
     bush.model = Model::Shoot;
     bush.buds = 20;
@@ -118,7 +121,7 @@ TEST(SavedGrove, GoesOnToTheSameBitsAtAnyGeneration)
         expect_same(again, on);
         sprouts += grove.step().sprouts;
         if (g == 6)  // wakes buds
-            grove.prune([](const Branches& b, std::size_t i) { return b.end(i).x < -6; });
+            grove.prune([](const Branches& b, std::size_t i) { return b.end(i).y > 10; });
     }
     EXPECT_GT(sprouts, 0u);
     EXPECT_GT(grove.tips(), 50u);
