@@ -146,7 +146,7 @@ void add_stage_command(CLI::App& program, Commands& commands, const StageInfo& i
     Command& c = add_command(program, commands, info.name, info.summary, true, "Processes");
     if (info.reads_scene)
         c.app
-            ->add_option("scene", c.files,
+            ->add_option(info.reads_if_given ? "scene,--from" : "scene", c.files,
                          info.reads_many ? "scenes to read (.vdb)"
                          : info.output == OutputKind::Picture
                              ? "scene (.vdb) or mesh to look at, - for standard input"

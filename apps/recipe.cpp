@@ -333,6 +333,7 @@ void check_supplies(const std::vector<Draft>& drafts, const std::vector<std::siz
         const bool many = stage.process->info().reads_many;
         for (const std::string& parent : drafts[i].from)
             here.insert(visible[parent].begin(), visible[parent].end());
+        stage.process->meets_trees(here.contains("tree_skeleton") && !here.contains("rock"));
         for (const std::string& need : stage.process->needs()) {
             const bool there = many ? std::all_of(drafts[i].from.begin(), drafts[i].from.end(),
                                                   [&](const auto& parent) {
@@ -406,12 +407,11 @@ void check_writes(const std::vector<Draft>& drafts, Errors& errors)
         const RecipeStage& stage = draft.stage;
         if (!stage.process) continue;
         const ParamList params = stage.process->params();
-        if (const Param* every = find_param(params, "every");
-            every && every->get() != 0 && stage.write.empty())
+        if (const int every = stage.process->frame_interval(); every != 0 && stage.write.empty())
             errors.add(draft.source,
                        fmt::format("{}: every = {} numbers scenes after the stage's own file, but "
                                    "it writes none; add write = \"{}.vdb\"",
-                                   stage.name, every->value_text(), stage.name));
+                                   stage.name, every, stage.name));
         if (!stage.process->side_files().empty())
             errors.add(draft.source,
                        fmt::format("{}: {} would be written behind the recipe's back; write points "
@@ -548,12 +548,14 @@ Recipe parse_recipe(const std::string& text, const std::filesystem::path& file,
             drafts[i].stage.process->reads_scene())
             drafts[i].from = {drafts[i - 1].stage.name};
     for (const Draft& draft : drafts)
-        if (draft.stage.process && !draft.stage.process->reads_scene() && !draft.from.empty())
+        if (draft.stage.process && !draft.stage.process->reads_scene() &&
+            !draft.stage.process->info().reads_if_given && !draft.from.empty())
             errors.add(draft.source,
                        fmt::format("{}.from: the stage '{}' reads no other", draft.stage.name,
                                    draft.stage.process->info().name));
     for (const Draft& draft : drafts)
-        if (draft.stage.process && draft.stage.process->info().reads_many && draft.from.size() < 2)
+        if (draft.stage.process && draft.stage.process->info().reads_many &&
+            draft.from.size() < 2 && draft.stage.process->info().output == OutputKind::Table)
             errors.add(draft.source,
                        fmt::format("{}.from: `{}` reads two stages or more", draft.stage.name,
                                    draft.stage.process->info().name));
@@ -650,6 +652,7 @@ std::string recipe_from_history(const std::vector<HistoryEntry>& history, const 
 {
     std::string text = "sekitei = 1\n";
     std::map<std::string, int> used;
+    std::string before;
     for (std::size_t i = 0; i < history.size(); ++i) {
         const HistoryEntry& entry = history[i];
         const auto stage = make_stage(entry.stage);
@@ -658,12 +661,22 @@ std::string recipe_from_history(const std::vector<HistoryEntry>& history, const 
             repeat == 1 ? entry.stage : fmt::format("{}_{}", entry.stage, repeat);
         text += fmt::format("\n[{}]\n", name);
         if (repeat > 1) text += fmt::format("stage = \"{}\"\n", entry.stage);
+        if (stage->info().reads_if_given && i > 0)
+            text += fmt::format("from = {}\n", Json(before).dump());
+        before = name;
         text += fmt::format("seed = {}\n", entry.seed);
         for (const Param& param : stage->params()) {
             if (!entry.params.contains(param.name)) continue;
             const Json& value = entry.params[param.name];
-            if (value.is_null() || (!every_value && value == param.get())) continue;
+            const Json usual = param.get();
+            if (value.is_null() || (!every_value && value == usual)) continue;
             if (param.kind == Param::Kind::Path && value == "") continue;
+            // Files beside the result are none of a recipe's business.
+            param.set(value);
+            if (!stage->side_files().empty()) {
+                param.set(usual);
+                continue;
+            }
             text += fmt::format("{} = {}{}\n", param.name, toml_value(value),
                                 param.unit.empty() ? "" : "  # " + param.unit);
         }

@@ -513,7 +513,8 @@ private:
             reason = "nothing changed";
             adopt(i, std::move(items), record);
             log::info("{:<12} unchanged", stage(i).name);
-            if (stage(i).process->info().reads_many)
+            if (stage(i).process->info().reads_many &&
+                stage(i).process->info().output == OutputKind::Table)
                 show_table(read_file(result_path(i, key), 1u << 28));
         } else {
             if (reason.empty()) reason = reason_to_run(i, now);
@@ -524,6 +525,8 @@ private:
         }
         state_["last"][stage(i).name] = now;
         for (const std::string& name : stage(i).write) write_output(i, name);
+        if (const std::string why = record.json.value("stopped", ""); !why.empty())
+            throw LimitExceeded(fmt::format("{}: {}", stage(i).name, why));
         release(i);
         return {{"name", stage(i).name},
                 {"state", cached ? "cached" : "run"},
@@ -681,6 +684,7 @@ private:
                        {"surface_cells", surface_cells},
                        {"frames", frames},
                        {"summary", summary},
+                       {"stopped", process.stopped},
                        {"seconds", seconds_now() - start}}};
         if (!mesh_hash.empty()) record.json["mesh_hash"] = file_hash(mesh_path(i, key), keeping);
         if (makes_mesh(process))
@@ -714,9 +718,7 @@ private:
     /// Whether stage i writes scenes on its way.
     bool wants_frames(std::size_t i) const
     {
-        const ParamList params = stage(i).process->params();
-        const Param* every = find_param(params, "every");
-        return every && every->get() != 0;
+        return stage(i).process->frame_interval() != 0;
     }
     static bool makes_item(Stage& process, const std::string& name)
     {

@@ -15,16 +15,23 @@ namespace sekitei::apps {
 namespace {
 
 using Factory = std::unique_ptr<Stage> (*)();
-constexpr Factory kFactories[] = {make_lava, make_cool,    make_joint,  make_weather,
-                                  make_mesh, make_lantern, make_light,  make_wind,
-                                  make_soil, make_moss,    make_render, make_statistics,
-                                  make_plot, make_compare, make_export};
+constexpr Factory kFactories[] = {
+    make_lava,       make_cool, make_joint,  make_weather, make_mesh,  make_lantern,
+    make_light,      make_wind, make_soil,   make_moss,    make_tree,  make_render,
+    make_statistics, make_plot, make_sketch, make_compare, make_export};
 
 }  // namespace
 
 Json Stage::run_many(const std::vector<std::pair<std::string, Scene>>&, const StageContext&)
 {
     throw Error(ExitCode::Bug, fmt::format("the stage '{}' reads one scene", info().name));
+}
+
+int Stage::frame_interval()
+{
+    const ParamList list = params();
+    const Param* every = find_param(list, "every");
+    return every ? every->get().get<int>() : 0;
 }
 
 const std::vector<StageInfo>& stage_infos()

@@ -32,6 +32,7 @@ struct StageInfo {
     /// "lava.preset" for one.
     std::vector<std::string> recalls{};
     bool reads_mesh = false;  ///< works on the triangles of a mesh `rock` too, and passes them on
+    bool reads_if_given = false;  ///< reads a scene where one is named, else makes one
 };
 
 /// What a stage would need, found before anything is allocated.
@@ -65,6 +66,8 @@ public:
     virtual const StageInfo& info() const = 0;
     /// Told before anything else where what it reads brings a mesh `rock`.
     virtual void meets_mesh(bool /*there*/) {}
+    /// Told before anything else whether what it reads brings trees and no rock.
+    virtual void meets_trees(bool /*alone*/) {}
     /// Whether it reads a scene with its present parameters.
     virtual bool reads_scene() { return info().reads_scene; }
     /// What it reads of a scene with its present parameters.
@@ -77,6 +80,8 @@ public:
     virtual std::vector<std::filesystem::path> files() { return {}; }
     /// Files that it writes itself besides its result, as written; not in recipes.
     virtual std::vector<std::filesystem::path> side_files() { return {}; }
+    /// Every how many steps it hands a scene to StageContext::frame; 0: never.
+    virtual int frame_interval();
     /// Bound to this object; set values through it.
     virtual ParamList params() = 0;
     /// @throws InvalidParameter
@@ -96,6 +101,9 @@ public:
     Image8 picture;
     /// Table stages leave theirs here, as lines of comma-separated values; Points as PLY.
     std::string table;
+    /// Why it stopped before its end, where a limit made it; its result is kept, and then the
+    /// command ends with ExitCode::Limit.
+    std::string stopped;
 
     /// Absolute form of a path parameter.
     static std::filesystem::path resolve(const StageContext& context,

@@ -46,6 +46,18 @@ bool speaks_of_mesh(const std::string& name)
                        [](const VdbGridInfo& grid) { return grid.points && grid.name == "sites"; });
 }
 
+/// Whether a scene file has trees, and no rock whose surface could be shown.
+bool only_trees(const std::string& name)
+{
+    if (name == "-" || is_mesh_name(name)) return false;
+    bool trees = false, rock = false;
+    for (const VdbGridInfo& grid : inspect_vdb(name).grids) {
+        trees = trees || grid.name == "tree_skeleton";
+        rock = rock || grid.name == "surface_sdf" || grid.name == "density";
+    }
+    return trees && !rock;
+}
+
 /// Every file that the outputs of the command line stand for.
 std::vector<fs::path> targets_of(Stage& stage, const Common& common)
 {
@@ -59,14 +71,13 @@ std::vector<fs::path> targets_of(Stage& stage, const Common& common)
 }
 
 /// A stage that writes a sequence needs a name to number, which none of its scenes has yet.
-void check_frames(const ParamList& params, const Common& common)
+void check_frames(Stage& stage, const Common& common)
 {
-    const Param* every = find_param(params, "every");
-    if (!every || every->get() == 0) return;
+    if (stage.frame_interval() == 0) return;
     const fs::path file = common.output.front();
     if (file == "-")
         throw InvalidParameter(
-            "--every writes numbered files beside the result: give a file with -o, not -");
+            "a sequence is numbered files beside the result: give a file with -o, not -");
     if (common.force) return;
     const fs::path folder = file.has_parent_path() ? file.parent_path() : ".";
     const std::string stem = file.stem().string() + ".", suffix = file.extension().string();
@@ -345,18 +356,21 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
     const bool unknown = stage->info().reads_mesh && !inputs.empty() && inputs.front() == "-";
     if (stage->info().reads_mesh && !inputs.empty() && !unknown)
         stage->meets_mesh(is_mesh_name(inputs.front()) || speaks_of_mesh(inputs.front()));
+    if (stage->info().output == OutputKind::Picture && !inputs.empty() &&
+        fs::exists(inputs.front()))
+        stage->meets_trees(only_trees(inputs.front()));
     stage->validate();
     if (inputs.empty() && stage->reads_scene())
         throw InvalidParameter(
             fmt::format("{}: which scene? give a .vdb file, or - for standard input", name));
-    if (!inputs.empty() && !stage->reads_scene())
+    if (!inputs.empty() && !stage->reads_scene() && !stage->info().reads_if_given)
         throw InvalidParameter(
             fmt::format("{}: reads no scene, but '{}' was given", name, inputs.front()));
     if (inputs.size() > 1 && !stage->info().reads_many)
         throw InvalidParameter(
             fmt::format("{}: reads one scene, but '{}' was given as well", name, inputs[1]));
     check_outputs(*stage, common, unknown || makes_mesh(*stage));
-    check_frames(params, common);
+    check_frames(*stage, common);
 
     StageContext context;
     context.seed = common.seed;
@@ -440,6 +454,7 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
                    {"outputs", outputs}}
                   .dump(2) +
               "\n");
+    if (!stage->stopped.empty()) throw LimitExceeded(stage->stopped);
     return 0;
 }
 

@@ -60,7 +60,47 @@ Material wood(const SurfacePoint& p, std::uint64_t key)
     return m;
 }
 
-Material foliage(const SurfacePoint& p, std::uint64_t key)
+/// Bark of trees: plates and furrows along what stands upright, lichen in patches.
+Material bark(const SurfacePoint& p, std::uint64_t key)
+{
+    Material m;
+    m.normal = p.normal;
+    m.roughness = 0.9f;
+    m.specular = 0;
+    const Vec3d q(p.position);
+    const double wide = gradient_noise(key + 6, q * 1.7);
+    Vec3f colour = mix({0.078f, 0.060f, 0.046f}, {0.150f, 0.135f, 0.118f},
+                       static_cast<float>(std::clamp(0.45 + 0.7 * wide, 0.0, 1.0)));
+    if (p.seen) {
+        // A furrow is seen where a pixel is smaller than it.
+        const auto shown = std::clamp(1.5 - static_cast<double>(p.footprint) / 0.02, 0.0, 1.0);
+        const double upright =
+            1 - static_cast<double>(p.normal.z) * static_cast<double>(p.normal.z);
+        auto height = [&](Vec3d at) {
+            return gradient_noise(key + 7,
+                                  Vec3d(at.x * 30, at.y * 30, at.z * (30 - 25 * upright))) +
+                   0.5 * gradient_noise(key + 8,
+                                        Vec3d(at.x * 75, at.y * 75, at.z * (75 - 55 * upright)));
+        };
+        const double here = height(q);
+        colour *= static_cast<float>(1 + shown * std::clamp(0.9 * here, -0.65, 0.5));
+        if (shown > 0) {
+            constexpr double kStep = 0.003;
+            const Vec3d slope((height(q + Vec3d(kStep, 0, 0)) - here) / kStep,
+                              (height(q + Vec3d(0, kStep, 0)) - here) / kStep,
+                              (height(q + Vec3d(0, 0, kStep)) - here) / kStep);
+            const Vec3d n(p.normal), across = slope - n * dot(slope, n);
+            m.normal = normalized(Vec3f(n - across * (0.012 * shown)));
+        }
+        const double lichen = gradient_noise(key + 9, q * 6.0) + 0.5 * wide;
+        const auto cover = static_cast<float>(std::clamp((lichen - 0.25) * 3, 0.0, 1.0));
+        colour = mix(colour, {0.150f, 0.160f, 0.115f}, 0.5f * cover);
+    }
+    m.albedo = colour;
+    return m;
+}
+
+Material foliage(const SurfacePoint& p, const LeafColours& colours, std::uint64_t key)
 {
     Material m;
     m.normal = p.normal;
@@ -68,9 +108,9 @@ Material foliage(const SurfacePoint& p, std::uint64_t key)
     m.specular = p.seen ? 0.4f : 0;
     const auto tone = static_cast<float>(gradient_noise(key + 4, Vec3d(p.position) * 3.7) +
                                          0.6 * gradient_noise(key + 5, Vec3d(p.position) * 17.0));
-    m.albedo = mix({0.060f, 0.105f, 0.028f}, {0.110f, 0.150f, 0.040f},
-                   std::clamp(0.5f + tone, 0.0f, 1.0f));
-    m.transmit = m.albedo * 0.5f;
+    m.albedo = mix(colours.dark, colours.bright, std::clamp(0.5f + tone, 0.0f, 1.0f));
+    m.transmit = {m.albedo.x * colours.through.x, m.albedo.y * colours.through.y,
+                  m.albedo.z * colours.through.z};
     return m;
 }
 
@@ -146,7 +186,7 @@ GardenLook::GardenLook(const std::vector<Piece>& pieces, std::uint64_t seed,
     std::size_t first = 0;
     for (const Piece& piece : pieces) {
         if (piece.mesh->triangles.empty()) continue;
-        Part part{first, piece.substance, nullptr};
+        Part part{first, piece.substance, nullptr, piece.leaves};
         if (piece.substance == Substance::Rock) {
             rocks_.push_back(std::make_unique<RockLook>(*piece.mesh, seed, progress));
             part.rock = rocks_.back().get();
@@ -175,7 +215,9 @@ Material GardenLook::surface(const SurfacePoint& point) const
         case Substance::Wood:
             return wood(point, key_);
         case Substance::Foliage:
-            return foliage(point, key_);
+            return foliage(point, part.leaves, key_);
+        case Substance::Bark:
+            return bark(point, key_);
         case Substance::Rock:
             break;
     }

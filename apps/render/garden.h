@@ -34,6 +34,7 @@ private:
         std::size_t first = 0;  // triangle
         Substance substance = Substance::Rock;
         const RockLook* rock = nullptr;
+        LeafColours leaves{};
     };
     std::vector<Part> parts_;
     std::vector<std::unique_ptr<RockLook>> rocks_;

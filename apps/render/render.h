@@ -79,15 +79,23 @@ Image8 run(const TriMesh& mesh, const Params& params, std::uint64_t seed, const 
 
 /// What a mesh is made of.
 enum class Substance {
-    Rock,    ///< as in run() of one mesh
-    Wood,    ///< weathered, grain along z
-    Water,   ///< dark, smooth, mirrors the sky; the mesh need not be closed
-    Foliage  ///< matt leaves that let light through
+    Rock,     ///< as in run() of one mesh
+    Wood,     ///< weathered, grain along z
+    Water,    ///< dark, smooth, mirrors the sky; the mesh need not be closed
+    Foliage,  ///< matt leaves that let light through
+    Bark      ///< grey and brown, furrowed along what stands upright
+};
+
+/// Leaves differ between two colours; light that shines through is tinted.
+struct LeafColours {
+    Vec3f dark{0.060f, 0.105f, 0.028f}, bright{0.110f, 0.150f, 0.040f};
+    Vec3f through{0.5f};  ///< share of the colour that is let through
 };
 
 struct Piece {
     const TriMesh* mesh = nullptr;  ///< must outlive the call
     Substance substance = Substance::Rock;
+    LeafColours leaves{};  ///< of foliage
 };
 
 /// A moss plant.

@@ -6,7 +6,9 @@
 #include <map>
 
 #include "apps/habitat.h"
+#include "apps/stages/compare_lines.h"
 #include "apps/stages/stages.h"
+#include "apps/trees.h"
 #include "core/error.h"
 #include "core/log.h"
 
@@ -62,28 +64,6 @@ Habitat habitat_of(const std::string& name, const Scene& scene)
     if (scene.points.contains("air_tables")) h.tables = tables_of(scene);
     return h;
 }
-
-/// One line of the comparison. Bounds come from the ratios of [Ogasawara2003, section 5] as far as
-/// the paper shows them; without bounds a line informs only.
-struct Line {
-    std::string measure, scene;
-    double value = 0, first = 0;
-    bool ratio = true;  ///< bounds are of value / first, else of value
-    double lower = -std::numeric_limits<double>::infinity(),
-           upper = std::numeric_limits<double>::infinity();
-
-    double compared() const { return ratio ? value / first : value; }
-    bool bounded() const { return std::isfinite(lower) || std::isfinite(upper); }
-    bool holds() const { return compared() >= lower && compared() <= upper; }
-    std::string expected() const
-    {
-        if (!bounded()) return "";
-        if (!std::isfinite(upper)) return fmt::format(">= {:g}", lower);
-        if (!std::isfinite(lower)) return fmt::format("<= {:g}", upper);
-        if (lower == upper) return fmt::format("{:g}", lower);
-        return fmt::format("{:g} to {:g}", lower, upper);
-    }
-};
 
 /// What grows in the zones of roof2x2 [Nomura2010, section 4.1], from the points `zones`.
 class Roof {
@@ -228,25 +208,51 @@ std::string cell(const std::string& text)
     return quoted + '"';
 }
 
+struct CompareParams {
+    int figure = 0;
+
+    static void describe(auto&& field)
+    {
+        field("figure", &CompareParams::figure, "", between(0, 17),
+              "of trees: the figure of the paper whose criteria are looked at, 1, 5, 6, 10 to 14 "
+              "or 16; 0: habitats of moss");
+    }
+};
+
 class CompareStage : public Stage {
 public:
     const StageInfo& info() const override
     {
         static const StageInfo kInfo{"compare",
                                      "1",
-                                     "habitats of several scenes beside the first one's, with what "
-                                     "the paper's experiments let expect",
+                                     "habitats of several scenes beside the first one's, or forms "
+                                     "of trees, with what the papers let expect",
                                      OutputKind::Table,
                                      true,
                                      {"statistics"},
                                      {},
                                      true,
-                                     {"lantern", "moss"}};
+                                     {"lantern", "moss", "tree"}};
         return kInfo;
     }
-    std::vector<std::string> uses() override { return {"air_tables", "zones"}; }
-    ParamList params() override { return {}; }
-    void validate() override {}
+    std::vector<std::string> needs() override
+    {
+        if (params_.figure == 0) return info().needs;
+        return {"tree_skeleton", "trees", "canopy_lad"};
+    }
+    std::vector<std::string> uses() override
+    {
+        if (params_.figure == 0) return {"air_tables", "zones"};
+        return {"tree_growth", "tree_buds"};
+    }
+    ParamList params() override { return describe_params(params_); }
+    void validate() override
+    {
+        validate_described("compare", params_);
+        if (params_.figure != 0 && !is_tree_figure(params_.figure))
+            throw InvalidParameter(fmt::format("compare: figure = {}, must be one of {}",
+                                               params_.figure, tree_figures()));
+    }
     Need estimate(SceneOutline&, const StageContext&) override { return {0, 1e8, 1e5}; }
 
     Json run(Scene&, const StageContext&) override
@@ -258,8 +264,9 @@ public:
                   const StageContext&) override
     {
         if (scenes.size() < 2) throw InvalidParameter("compare: needs two scenes or more");
-        std::vector<Line> lines = roof_lines(scenes);
-        if (lines.empty()) {
+        std::vector<Line> lines =
+            params_.figure != 0 ? tree_lines(params_.figure, scenes) : roof_lines(scenes);
+        if (params_.figure == 0 && lines.empty()) {
             std::vector<Habitat> all;
             for (const auto& [name, scene] : scenes) all.push_back(habitat_of(name, scene));
             for (std::size_t k = 1; k < all.size(); ++k) add(lines, all[0], all[k]);
@@ -281,6 +288,8 @@ public:
     }
 
 private:
+    CompareParams params_;
+
     static void add(std::vector<Line>& lines, const Habitat& first, const Habitat& other)
     {
         // What the experiments let expect is beside the lantern alone.

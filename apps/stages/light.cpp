@@ -160,7 +160,7 @@ public:
 
         std::vector<TriMesh> hiding;
         hiding.push_back(marching_tetrahedra(surface, 0, progress.slice(0.15, 0.25)));
-        for (TriMesh mesh : {obstacle_mesh(scene), leaf_mesh(scene)})
+        for (TriMesh mesh : {obstacle_mesh(scene), bark_mesh(scene, {}), leaf_mesh(scene)})
             if (!mesh.triangles.empty()) hiding.push_back(std::move(mesh));
         std::vector<const TriMesh*> occluders;
         for (const TriMesh& mesh : hiding) occluders.push_back(&mesh);

@@ -34,12 +34,36 @@ struct SliceChoice {
     }
 };
 
+/// Leaves by what tree bears them, or all as asked for.
+enum class Season { Auto, Green, Autumn, Blossom, Bare };
+constexpr std::array<std::string_view, 5> choice_names(Season)
+{
+    return {"auto", "green", "autumn", "blossom", "bare"};
+}
+
+render::LeafColours colours_of(const Crown& crown, Season season)
+{
+    if (season == Season::Autumn)
+        return {{0.270f, 0.070f, 0.016f}, {0.420f, 0.235f, 0.030f}, {0.75f, 0.65f, 0.4f}};
+    if (season == Season::Blossom || (season == Season::Auto && crown.species == "cherry"))
+        return {{0.620f, 0.400f, 0.440f}, {0.780f, 0.660f, 0.680f}, {0.60f, 0.52f, 0.54f}};
+    if (crown.species.empty()) return {};
+    if (crown.needles)
+        return {{0.026f, 0.052f, 0.024f}, {0.055f, 0.085f, 0.034f}, {0.25f, 0.30f, 0.15f}};
+    if (crown.species == "willow")
+        return {{0.085f, 0.125f, 0.036f}, {0.155f, 0.185f, 0.060f}, {0.85f, 0.95f, 0.45f}};
+    return {{0.048f, 0.092f, 0.022f}, {0.110f, 0.158f, 0.036f}, {0.90f, 1.00f, 0.45f}};
+}
+
 /// What is shown besides the rock.
 struct Scenery {
     bool moss = true;
     std::optional<double> tuft_size;
     bool photons = true;
     std::optional<double> photon_size;
+    bool trees = true;
+    Season season = Season::Auto;
+    double leaf_scale = 1.5;
 
     static void describe(auto&& field)
     {
@@ -51,6 +75,12 @@ struct Scenery {
               "where no moss is shown: the photons that the light stage kept, as dots");
         field("photon_size", &Scenery::photon_size, "m", kPositive,
               "diameter of a photon's dot; auto: a 240th of the surface");
+        field("trees", &Scenery::trees, "trees of the scene, with bark and leaves");
+        field("season", &Scenery::season,
+              "leaves of trees: auto (by species), green, autumn, blossom or bare (none)");
+        field("leaf_scale", &Scenery::leaf_scale, "", between(0.01, 100),
+              "how much larger than they are single leaves of trees are drawn: crowns of the paper "
+              "are lighter than those of gardens");
     }
 };
 
@@ -66,14 +96,16 @@ public:
                                      {"rock"},
                                      {},
                                      false,
-                                     {"moss", "lantern"},
+                                     {"moss", "lantern", "tree"},
                                      true};
         return kInfo;
     }
 
+    void meets_trees(bool alone) override { only_trees_ = alone; }
     std::vector<std::string> needs() override
     {
-        return {choice_.slice.empty() ? std::string("rock") : choice_.slice};
+        if (!choice_.slice.empty()) return {choice_.slice};
+        return {only_trees_ ? "tree_skeleton" : "rock"};
     }
     std::vector<std::string> uses() override
     {
@@ -120,6 +152,10 @@ public:
                                             choice_.low, choice_.high});
         } else {
             const auto mesh = scene.meshes.find("rock");
+            if (mesh == scene.meshes.end() && scene.points.contains("tree_skeleton")) {
+                show_trees(scene, context);
+                return {{"width", picture.width}, {"height", picture.height}};
+            }
             if (mesh == scene.meshes.end())
                 throw InvalidInput(
                     "render: the scene has no mesh; run `sekitei mesh` first or give --slice GRID");
@@ -140,6 +176,57 @@ public:
     }
 
 private:
+    /// Bark and leaves as a picture wants them.
+    struct Trees {
+        TriMesh bark;
+        std::vector<Crown> crown;
+        Season season;
+
+        Trees(const Scene& scene, const Scenery& scenery, const Progress& progress)
+            : season(scenery.season)
+        {
+            const bool grown = scene.points.contains("tree_skeleton");
+            if (grown && !scenery.trees) return;
+            if (grown) bark = bark_mesh(scene, progress.slice(0, 0));
+            if (season != Season::Bare) crown = crowns(scene, scenery.leaf_scale);
+        }
+        void add_to(render::Stuff& stuff) const
+        {
+            if (!bark.triangles.empty()) stuff.pieces.push_back({&bark, render::Substance::Bark});
+            for (const Crown& c : crown)
+                if (!c.leaves.triangles.empty())
+                    stuff.pieces.push_back(
+                        {&c.leaves, render::Substance::Foliage, colours_of(c, season)});
+        }
+    };
+
+    /// Trees on level ground at their feet.
+    void show_trees(const Scene& scene, const StageContext& context)
+    {
+        if (!params_.field.empty())
+            throw InvalidInput(fmt::format(
+                "render: field = {}: the scene has trees and no rock to paint", params_.field));
+        const Trees trees(scene, scenery_, context.progress);
+        const TriMesh wood = obstacle_mesh(scene);
+        render::Stuff stuff;
+        trees.add_to(stuff);
+        if (!wood.triangles.empty()) stuff.pieces.push_back({&wood, render::Substance::Wood});
+        if (stuff.pieces.empty())
+            throw InvalidInput("render: no tree is left, there is nothing to show");
+        double triangles = 0, foot = INFINITY;
+        for (const render::Piece& piece : stuff.pieces)
+            triangles += double(piece.mesh->triangles.size());
+        check_memory("render", memory(triangles, 0), context.memory_limit);
+        for (const Vec3d& at : scene.points.at("tree_skeleton").position)
+            foot = std::min(foot, at.z);
+        if (const auto plants = scene.points.find("trees"); plants != scene.points.end())
+            for (const Vec3d& at : plants->second.position) foot = std::min(foot, at.z);
+        render::Params params = params_;
+        params.zoom *= kTreeZoom;
+        if (!params.ground_height && std::isfinite(foot)) params.ground_height = foot;
+        picture = render::run(stuff, params, context.seed, context.progress);
+    }
+
     void show(const Scene& scene, const TriMesh& rock, const StageContext& context)
     {
         render::Params params = params_;
@@ -169,14 +256,13 @@ private:
                 nearest_field(params.field), maker_hint(grid)));
         }
         const double ground = params.ground_height.value_or(double(rock.bounds().lower.z));
-        const TriMesh wood = obstacle_mesh(scene), water = water_mesh(scene, ground),
-                      foliage = leaf_mesh(scene);
+        const TriMesh wood = obstacle_mesh(scene), water = water_mesh(scene, ground);
+        const Trees trees(scene, scenery_, context.progress);
         render::Stuff stuff;
         stuff.pieces.push_back({&rock, render::Substance::Rock});
         if (!wood.triangles.empty()) stuff.pieces.push_back({&wood, render::Substance::Wood});
         if (!water.triangles.empty()) stuff.pieces.push_back({&water, render::Substance::Water});
-        if (!foliage.triangles.empty())
-            stuff.pieces.push_back({&foliage, render::Substance::Foliage});
+        trees.add_to(stuff);
         if (scenery_.moss && scene.points.contains("moss")) {
             stuff.moss = render::tufts_of(scene.points.at("moss"));
             for (render::Tuft& tuft : stuff.moss) ++tuft.species;  // points count from 0
@@ -208,9 +294,13 @@ private:
     }
     static constexpr int kTrianglesPerDot = 4;
 
+    /// Crowns are wider than deep, and leave more of the picture free than rocks of their size.
+    static constexpr double kTreeZoom = 1.3;
+
     render::Params params_;
     Scenery scenery_;
     SliceChoice choice_;
+    bool only_trees_ = false;
 };
 
 }  // namespace

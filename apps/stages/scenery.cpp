@@ -6,10 +6,13 @@
 #include <cmath>
 #include <limits>
 
+#include "apps/garden/lantern.h"
 #include "apps/stage.h"
+#include "apps/trees.h"
 #include "core/error.h"
 #include "core/parallel.h"
 #include "grids/marching_tetrahedra.h"
+#include "solvers/tree/wood.h"
 
 namespace sekitei::apps {
 namespace {
@@ -60,11 +63,49 @@ std::vector<float> around_vertices(const TriMesh& mesh, const LeafGrid<T>& grid)
     return values;
 }
 
+void add_square(TriMesh& mesh, Vec3d at, Vec3d up, double half)
+{
+    const Vec3d side =
+        normalized(std::abs(up.z) < 0.9 ? cross(up, Vec3d(0, 0, 1)) : cross(up, Vec3d(1, 0, 0)));
+    const Vec3d u = side * half, v = cross(up, side) * half;
+    const auto first = static_cast<std::uint32_t>(mesh.vertices.size());
+    for (const Vec3d corner : {-u - v, u - v, u + v, v - u})
+        mesh.vertices.push_back(Vec3f(at + corner));
+    mesh.triangles.push_back({first, first + 1, first + 2});
+    mesh.triangles.push_back({first, first + 2, first + 3});
+}
+
+/// A pointed leaf along the local +y, its upper side +z, a little hollow and drooping to its tip.
+/// @param slender  half of its width by its length
+void add_leaf(TriMesh& mesh, Vec3d at, const std::array<float, 4>& orient, double area,
+              double slender)
+{
+    struct Corner {
+        double across, along;  // of the half width and the length
+    };
+    // Base, three pairs of sides' corners in a ring, tip: 1.1375 times half width by length.
+    constexpr std::array<Corner, 6> kOutline{
+        {{0, 0}, {1, 0.35}, {0.75, 0.65}, {0, 1}, {-0.75, 0.65}, {-1, 0.35}}};
+    const double long_ = std::sqrt(area / (1.1375 * slender)), wide = slender * long_;
+    const double x = double(orient[0]), y = double(orient[1]), z = double(orient[2]),
+                 w = double(orient[3]);
+    const Vec3d ex(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
+        ey(2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)), ez = cross(ex, ey);
+    const auto first = static_cast<std::uint32_t>(mesh.vertices.size());
+    for (const Corner& c : kOutline)
+        mesh.vertices.push_back(
+            Vec3f(at + ex * (c.across * wide) + ey * ((c.along - 0.5) * long_) +
+                  ez * (0.25 * wide * std::abs(c.across) - 0.15 * long_ * c.along * c.along)));
+    for (const auto& t : {std::array<std::uint32_t, 3>{0, 1, 5}, {1, 2, 4}, {1, 4, 5}, {2, 3, 4}})
+        mesh.triangles.push_back({first + t[0], first + t[1], first + t[2]});
+}
+
 }  // namespace
 
 std::vector<std::string> scenery_uses()
 {
-    return {"obstacle_sdf", "water_surface", "leaves", "surf_area"};
+    return {"obstacle_sdf",  "water_surface", "leaves",    "surf_area",
+            "tree_skeleton", "trees",         "canopy_lad"};
 }
 
 TriMesh obstacle_mesh(const Scene& scene)
@@ -77,26 +118,55 @@ TriMesh obstacle_mesh(const Scene& scene)
 
 TriMesh leaf_mesh(const Scene& scene)
 {
-    TriMesh mesh;
+    TriMesh all;
+    for (const Crown& crown : crowns(scene)) garden::append(all, crown.leaves);
+    return all;
+}
+
+std::vector<Crown> crowns(const Scene& scene, double scale)
+{
     const auto found = scene.points.find("leaves");
-    if (found == scene.points.end()) return mesh;
+    if (found == scene.points.end() || found->second.position.empty()) return {};
     const Points& leaves = found->second;
     const auto* n = leaves.values<Vec3f>("N");
     const auto* s = leaves.values<float>("pscale");
+    const auto* orient = leaves.values<std::array<float, 4>>("orient");
+    const auto* species = leaves.values<std::int32_t>("species");
     if (!n || !s)
         throw InvalidInput("the points 'leaves' need the attributes N (vec3s) and pscale (float)");
-    for (std::size_t i = 0; i < leaves.position.size(); ++i) {
-        const Vec3d up((*n)[i]);
-        const Vec3d side = normalized(std::abs(up.z) < 0.9 ? cross(up, Vec3d(0, 0, 1))
-                                                           : cross(up, Vec3d(1, 0, 0)));
-        const Vec3d u = side * double((*s)[i]), v = cross(up, side) * double((*s)[i]);
-        const auto first = static_cast<std::uint32_t>(mesh.vertices.size());
-        for (const Vec3d corner : {-u - v, u - v, u + v, v - u})
-            mesh.vertices.push_back(Vec3f(leaves.position[i] + corner));
-        mesh.triangles.push_back({first, first + 1, first + 2});
-        mesh.triangles.push_back({first, first + 2, first + 3});
+    std::vector<Crown> list(1);
+    if (orient && species && scene.points.contains("tree_skeleton")) {
+        const GroveRecord record = grove_record(scene);
+        list.assign(std::max<std::size_t>(1, record.species.size()), {});
+        for (std::size_t k = 0; k < record.species.size(); ++k) {
+            list[k].species = record.species[k].name;
+            list[k].needles = record.species[k].model == tree::Model::Conifer;
+        }
     }
-    return mesh;
+    for (std::size_t i = 0; i < leaves.position.size(); ++i) {
+        const std::size_t kind =
+            species
+                ? std::min<std::size_t>(std::size_t(std::max(0, (*species)[i])), list.size() - 1)
+                : 0;
+        Crown& crown = list[kind];
+        const double half = double((*s)[i]);
+        if (orient)
+            add_leaf(crown.leaves, leaves.position[i], (*orient)[i],
+                     4 * half * half * scale * scale,
+                     crown.needles               ? 0.07
+                     : crown.species == "willow" ? 0.10
+                                                 : 0.26);
+        else
+            add_square(crown.leaves, leaves.position[i], Vec3d((*n)[i]), half);
+    }
+    return list;
+}
+
+TriMesh bark_mesh(const Scene& scene, const Progress& progress)
+{
+    if (!scene.points.contains("tree_skeleton") || !scene.points.contains("trees")) return {};
+    const Skeleton wood = skeleton_of(scene);
+    return tree::bark_tubes(wood.branches, wood.radius, wood.unit_length, {}, progress);
 }
 
 TriMesh water_mesh(const Scene& scene, double ground)

@@ -14,9 +14,21 @@ std::vector<std::string> scenery_uses();
 
 /// `obstacle_sdf`: fences, trunks. Empty where there are none, like the others.
 TriMesh obstacle_mesh(const Scene& scene);
-/// `leaves`: a square for each point, of half edge `pscale` across `N`.
+/// `leaves`: a square for each point, of half edge `pscale` across `N`; where they have `orient`,
+/// pointed leaves of the same area.
 /// @throws InvalidInput  attributes that are missing
 TriMesh leaf_mesh(const Scene& scene);
+/// Leaves of one kind of tree.
+struct Crown {
+    TriMesh leaves;
+    std::string species;  ///< its name; empty where it is not known
+    bool needles = false;
+};
+/// The same, one mesh for each species.
+/// @param scale  by which pointed leaves are drawn larger
+std::vector<Crown> crowns(const Scene& scene, double scale = 1);
+/// `tree_skeleton` as tubes of bark.
+TriMesh bark_mesh(const Scene& scene, const Progress& progress);
 /// `water_surface`: the upper faces of its voxels, at least 1 cm over the ground so that a level
 /// ground plane does not cover them.
 TriMesh water_mesh(const Scene& scene, double ground);

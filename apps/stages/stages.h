@@ -36,6 +36,8 @@ std::unique_ptr<Stage> make_light();
 std::unique_ptr<Stage> make_wind();
 std::unique_ptr<Stage> make_soil();
 std::unique_ptr<Stage> make_moss();
+std::unique_ptr<Stage> make_tree();
+std::unique_ptr<Stage> make_sketch();
 std::unique_ptr<Stage> make_statistics();
 std::unique_ptr<Stage> make_plot();
 std::unique_ptr<Stage> make_export();

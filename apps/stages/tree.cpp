@@ -1,0 +1,591 @@
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <set>
+
+#include "apps/habitat.h"
+#include "apps/stages/stages.h"
+#include "apps/trees.h"
+#include "core/error.h"
+#include "core/file_output.h"
+#include "core/log.h"
+#include "core/mesh_io.h"
+#include "core/units.h"
+#include "grids/marching_tetrahedra.h"
+#include "grids/vdb_file.h"
+#include "solvers/tree/shape.h"
+#include "solvers/tree/wood.h"
+
+namespace sekitei::apps {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct TreeParams {
+    std::string species, origin;
+    std::vector<double> starts;
+    int generations = 40;
+    fs::path obstacle, shade;
+    bool scene_obstacles = true;
+    std::string remove;
+    std::optional<double> prune_above;
+    std::optional<int> prune_generation;
+    int every = 0, sequence = 0;
+    std::optional<double> voxel;
+    bool leaves = true, wood = false;
+    double wood_voxel = 0.02;
+    std::string mesh, skeleton;
+
+    static void describe(auto&& field)
+    {
+        field("species", &TreeParams::species,
+              "kinds of trees, separated by commas, for one origin after the other: table-1, "
+              "beech, oak, zelkova, cherry, willow, pine, azalea, pollard, or .toml files; empty: "
+              "table-1, or as the trees of the scene");
+        field("origin", &TreeParams::origin,
+              "where trees stand: x,y,z in metres, several separated by ';'; empty: one at 0,0,0, "
+              "or none besides those of the scene");
+        field("starts", &TreeParams::starts, "", kNotNegative,
+              "generation before which the tree at each origin does not grow: trees of several "
+              "ages");
+        field("generations", &TreeParams::generations, "", between(0, 500),
+              "how long they grow; in a scene with trees: from there on");
+        field("obstacle", &TreeParams::obstacle,
+              "scene or mesh file of what they grow beside; empty: nothing");
+        field("scene_obstacles", &TreeParams::scene_obstacles,
+              "the rock, fences and walls of the scene are obstacles");
+        field("shade", &TreeParams::shade,
+              "scene file whose canopy_lad shades them: a forest; empty: none");
+        field("remove", &TreeParams::remove,
+              "trees of the scene to fell first: numbers from 0, separated by commas");
+        field("prune_above", &TreeParams::prune_above, "m", kAny,
+              "height above which branches of the scene's trees are cut first");
+        field("prune_generation", &TreeParams::prune_generation, "", between(0, 1000000),
+              "branches of later generations are cut first");
+        field("every", &TreeParams::every, "", kNotNegative,
+              "also write a scene every so many generations, numbered beside the last one; 0: "
+              "only the last");
+        field("sequence", &TreeParams::sequence, "", kNotNegative,
+              "the same, so many scenes of the whole growth; 0: only the last");
+        field("voxel", &TreeParams::voxel, "m", between(1e-3, 100),
+              "edge of the voxels of leaves and light; auto: half the smallest leaf-ball's radius");
+        field("leaves", &TreeParams::leaves, "single leaves as points");
+        field("wood", &TreeParams::wood, "the wood as a level set, tree_sdf");
+        field("wood_voxel", &TreeParams::wood_voxel, "m", between(1e-4, 10),
+              "with wood: edge of its voxels");
+        field("mesh", &TreeParams::mesh, "file for the bark as tubes of triangles; empty: none");
+        field("skeleton", &TreeParams::skeleton,
+              "file for branches as vertices and edges: .ply, .json or .obj (polylines); empty: "
+              "none");
+    }
+};
+
+/// Positions in metres out of "0m,0m,0m; 3m,2m,0m".
+std::vector<Vec3d> places(const std::string& text)
+{
+    std::vector<Vec3d> list;
+    for (std::size_t begin = 0; begin <= text.size();) {
+        const std::size_t end = std::min(text.find(';', begin), text.size());
+        const std::vector<std::string> parts = split_names(text.substr(begin, end - begin));
+        begin = end + 1;
+        if (parts.empty()) continue;
+        if (parts.size() != 3)
+            throw InvalidParameter(fmt::format(
+                "tree: origin = {}: expected x,y,z in metres, several separated by ';'", text));
+        Vec3d at;
+        for (int axis = 0; axis < 3; ++axis) {
+            try {
+                at[axis] = parse_quantity(parts[static_cast<std::size_t>(axis)], "m");
+            } catch (const InvalidParameter& error) {
+                throw InvalidParameter(fmt::format("tree: origin = {}: {}", text, error.what()));
+            }
+            if (std::abs(at[axis]) > 1e6)
+                throw InvalidParameter(
+                    fmt::format("tree: origin = {}: {} m, must be -1e6 to 1e6 m", text, at[axis]));
+        }
+        list.push_back(at);
+    }
+    return list;
+}
+
+std::vector<int> numbers(const std::string& text)
+{
+    std::vector<int> list;
+    for (const std::string& name : split_names(text)) {
+        int value = -1;
+        const auto [end, error] = std::from_chars(name.data(), name.data() + name.size(), value);
+        if (error != std::errc{} || end != name.data() + name.size() || value < 0)
+            throw InvalidParameter(fmt::format(
+                "tree: remove = {}: must be numbers of trees from 0, separated by commas", text));
+        list.push_back(value);
+    }
+    return list;
+}
+
+bool is_mesh_file(const fs::path& file)
+{
+    static const std::set<std::string> kSuffixes{".ply", ".obj", ".stl", ".off", ".glb"};
+    return kSuffixes.contains(file.extension().string());
+}
+
+/// The parameters of P as ones that are auto until they are given.
+template <class P>
+void add_overrides(ParamList& list, P& values, std::set<std::string>& given,
+                   const std::string& otherwise)
+{
+    for (Param& p : describe_params(values)) {
+        if (p.name == "name") continue;
+        Param wrapped = p;
+        wrapped.optional = true;
+        wrapped.help =
+            fmt::format("{}; auto: {}", p.help, otherwise.empty() ? p.value_text() : otherwise);
+        wrapped.get = [get = p.get, name = p.name, &given] {
+            return given.contains(name) ? get() : Json(nullptr);
+        };
+        wrapped.set = [set = p.set, name = p.name, &given](const Json& value) {
+            if (detail::is_auto(value)) {
+                given.erase(name);
+            } else {
+                set(value);
+                given.insert(name);
+            }
+        };
+        list.push_back(std::move(wrapped));
+    }
+}
+
+/// Takes over what was given.
+template <class P>
+void override_with(P& target, const P& values, const std::set<std::string>& given)
+{
+    P source = values;
+    const ParamList from = describe_params(source), to = describe_params(target);
+    for (const Param& p : from)
+        if (given.contains(p.name)) find_param(to, p.name)->set(p.get());
+}
+
+/// What stands around, and the grids that it refers to.
+struct Around {
+    std::vector<std::unique_ptr<FloatGrid>> grids;
+    tree::Surroundings surroundings;
+
+    void add_level_set(const FloatGrid& grid)
+    {
+        surroundings.obstacles.push_back(tree::level_set_obstacle(grid));
+    }
+    void add_mesh(TriMesh mesh, double reach, const Progress& progress)
+    {
+        surroundings.obstacles.push_back(tree::mesh_obstacle(std::move(mesh), reach, progress));
+    }
+    /// The solid that a scene is about; whether there is one.
+    bool add_scene(const Scene& scene, double reach, const Progress& progress)
+    {
+        bool found = false;
+        auto keep = [&](const FloatGrid& grid) -> const FloatGrid& {
+            return *grids.emplace_back(std::make_unique<FloatGrid>(grid));
+        };
+        for (const char* name : {"surface_sdf", "obstacle_sdf"})
+            if (scene.has(name)) {
+                add_level_set(keep(scene.floats(name)));
+                found = true;
+            }
+        if (scene.has("surface_sdf")) return true;
+        if (const auto rock = scene.meshes.find("rock"); rock != scene.meshes.end()) {
+            add_mesh(rock->second, reach, progress);
+            return true;
+        }
+        if (scene.has("density")) {
+            TriMesh mesh = marching_tetrahedra(scene.floats("density"), 0.5, progress);
+            if (!mesh.triangles.empty()) {
+                add_mesh(std::move(mesh), reach, progress);
+                found = true;
+            }
+        }
+        return found;
+    }
+};
+
+class TreeStage : public Stage {
+public:
+    const StageInfo& info() const override
+    {
+        static const StageInfo kInfo = [] {
+            StageInfo info{"tree",
+                           "1",
+                           "trees grow towards the light that their branches leave one another",
+                           OutputKind::Scene,
+                           true,
+                           {},
+                           {"tree_skeleton", "trees", "tree_buds", "tree_growth", "leaves",
+                            "canopy_lad", "canopy_RU", "tree_light", "tree_sdf"},
+                           false,
+                           {"tree"}};
+            info.reads_if_given = true;
+            return info;
+        }();
+        return kInfo;
+    }
+    bool reads_scene() override { return false; }
+    std::vector<std::string> uses() override
+    {
+        std::vector<std::string> names = grove_items();
+        names.emplace_back("tree_growth");
+        if (params_.scene_obstacles)
+            for (const char* name : {"surface_sdf", "obstacle_sdf", "density", "rock"})
+                names.emplace_back(name);
+        return names;
+    }
+    std::vector<std::string> makes() override
+    {
+        std::vector<std::string> names = info().makes;
+        if (!params_.wood) std::erase(names, "tree_sdf");
+        if (!params_.leaves) std::erase(names, "leaves");
+        return names;
+    }
+    std::vector<fs::path> files() override
+    {
+        std::vector<fs::path> list;
+        for (const std::string& name : split_names(params_.species))
+            if (fs::path(name).extension() == ".toml") list.emplace_back(name);
+        return list;
+    }
+    std::vector<fs::path> side_files() override
+    {
+        std::vector<fs::path> list;
+        if (!params_.mesh.empty()) list.emplace_back(params_.mesh);
+        if (!params_.skeleton.empty()) list.emplace_back(params_.skeleton);
+        return list;
+    }
+    int frame_interval() override
+    {
+        if (params_.every > 0) return params_.every;
+        if (params_.sequence > 0)
+            return std::max(1, (params_.generations + params_.sequence - 1) / params_.sequence);
+        return 0;
+    }
+
+    ParamList params() override
+    {
+        ParamList list = describe_params(params_);
+        add_overrides(list, grove_, given_, "");
+        add_overrides(list, species_, given_, "of the species");
+        return list;
+    }
+
+    void validate() override
+    {
+        validate_described("tree", params_);
+        tree::GroveParams grove;
+        override_with(grove, grove_, given_);
+        tree::validate(grove);
+        if (grove.method == tree::Method::Grid && grove.transmission == 0)
+            throw InvalidParameter(
+                "tree: transmission = 0, must be > 0 with method = grid; use method = sweep");
+        if (grove.transmission == 1)
+            log::warning("tree: transmission = 1: leaves do not shade one another");
+        for (const std::string& name : split_names(params_.species))
+            if (fs::path(name).extension() != ".toml") checked(find_tree(name, {}));
+        if (split_names(params_.species).empty()) checked({});
+        places(params_.origin);
+        numbers(params_.remove);
+        if (params_.every > 0 && params_.sequence > 0)
+            throw InvalidParameter("tree: every and sequence: give one of the two");
+        if (!params_.mesh.empty() && !is_mesh_file(params_.mesh))
+            throw InvalidParameter(fmt::format(
+                "tree: mesh = {}, must end in .ply, .obj, .stl, .off or .glb", params_.mesh));
+        const std::string suffix = fs::path(params_.skeleton).extension().string();
+        if (!params_.skeleton.empty() && suffix != ".ply" && suffix != ".json" && suffix != ".obj")
+            throw InvalidParameter(
+                fmt::format("tree: skeleton = {}, must end in .ply, .json or "
+                            ".obj",
+                            params_.skeleton));
+        if (!params_.wood) warn_unused(*this, {"wood_voxel"}, "without wood");
+    }
+
+    void check_files(const StageContext& context) override
+    {
+        for (const std::string& name : split_names(params_.species))
+            if (fs::path(name).extension() == ".toml") checked(find_tree(name, context.folder));
+    }
+
+    Need estimate(SceneOutline&, const StageContext&) override { return {0, 4e8, 2e7}; }
+
+    Json run(Scene& scene, const StageContext& context) override
+    {
+        stopped.clear();
+        for (const fs::path& file : side_files()) check_target(resolve(context, file));
+        const bool goes_on = scene.points.contains("tree_skeleton");
+        GroveRecord record;
+        if (goes_on) record = grove_record(scene);
+        override_with(record.params, grove_, given_);
+        const double unit = record.params.unit_length;
+
+        const std::vector<Vec3d> origins = places(params_.origin);
+        std::vector<std::string> names = split_names(params_.species);
+        if (names.empty() && (!goes_on || !origins.empty())) names = {"table-1"};
+        std::vector<tree::Species> kinds;
+        for (const std::string& name : names) kinds.push_back(find_tree(name, context.folder));
+        // For new trees, or else in place of what the old ones were.
+        const std::size_t first_kind = record.species.size();
+        if (!goes_on || !origins.empty())
+            record.species.insert(record.species.end(), kinds.begin(), kinds.end());
+        else
+            for (std::size_t k = 0; k < record.species.size() && !kinds.empty(); ++k)
+                record.species[k] = kinds[k % kinds.size()];
+        for (tree::Species& s : record.species) override_with(s, species_, given_);
+
+        std::vector<tree::Plant> plants;
+        for (std::size_t k = 0; k < std::max<std::size_t>(origins.size(), goes_on ? 0 : 1); ++k) {
+            tree::Plant plant;
+            if (!origins.empty()) plant.origin = origins[k] / unit;
+            plant.species = static_cast<int>(first_kind + k % kinds.size());
+            if (k < params_.starts.size()) plant.from = static_cast<int>(params_.starts[k]);
+            plants.push_back(plant);
+        }
+
+        Around around;
+        surround(around, scene, record.params, context);
+        const tree::Surroundings* surroundings =
+            around.surroundings.empty() ? nullptr : &around.surroundings;
+        tree::Grove grove =
+            goes_on
+                ? tree::Grove(record.params, record.species, record.state, surroundings)
+                : tree::Grove(record.params, record.species, plants, context.seed, surroundings);
+        if (goes_on) {
+            for (const int id : numbers(params_.remove)) grove.remove_tree(id);
+            prune(grove);
+            for (const tree::Plant& plant : plants) grove.add_plant(plant);
+        } else if (!params_.remove.empty() || params_.prune_above || params_.prune_generation)
+            log::warning("tree: remove and prune have no effect without trees to go on from");
+
+        std::vector<tree::GenerationStatistics> growth = growth_of(scene);
+        const int before = grove.generation(), every = frame_interval();
+        const Progress growing = context.progress.slice(0, 0.7);
+        const tree::Status status =
+            grove.grow(params_.generations, growing, [&](const tree::GenerationStatistics& row) {
+                growth.push_back(row);
+                if (every == 0 || !context.frame) return;
+                const int done = grove.generation() - before;
+                if (done % every != 0 && done != params_.generations) return;
+                put(scene, grove, growth, context, growing.slice(1, 1));
+                context.frame(grove.generation(), scene);
+            });
+        put(scene, grove, growth, context, context.progress.slice(0.7, 1));
+        if (status == tree::Status::Limit)
+            stopped = fmt::format(
+                "tree: {} tips after generation {}, the limit is max_tips = {}; the scene is that "
+                "of this generation",
+                grove.tips(), grove.generation(), record.params.max_tips);
+        return summary_of(grove, status, scene);
+    }
+
+private:
+    void checked(tree::Species species) const
+    {
+        override_with(species, species_, given_);
+        tree::validate(species);
+    }
+
+    void surround(Around& around, const Scene& scene, const tree::GroveParams& params,
+                  const StageContext& context) const
+    {
+        const double reach = 4 * params.unit_length * std::max(1.0, params.clearance);
+        if (params_.scene_obstacles) around.add_scene(scene, reach, context.progress.slice(0, 0));
+        if (!params_.obstacle.empty()) {
+            const fs::path file = resolve(context, params_.obstacle);
+            try {
+                if (is_mesh_file(file)) {
+                    MeshReadReport report;
+                    TriMesh mesh = read_mesh(file, &report);
+                    log_mesh_report(file, report);
+                    around.add_mesh(std::move(mesh), reach, context.progress.slice(0, 0));
+                } else
+                    add_file(around, file, reach, context);
+            } catch (const InvalidInput& error) {
+                throw named_after(file.string(), error);
+            }
+        }
+        if (!params_.shade.empty()) {
+            const fs::path file = resolve(context, params_.shade);
+            ReadOptions options;
+            options.only = {"canopy_lad"};
+            options.memory_limit = context.memory_limit;
+            const Scene forest = read_vdb(file, options, context.progress.slice(0, 0));
+            const FloatGrid& lad = *around.grids.emplace_back(
+                std::make_unique<FloatGrid>(forest.floats("canopy_lad")));
+            around.surroundings.shade = std::make_unique<tree::BackgroundShade>(lad, 0.5);
+        }
+    }
+
+    static void add_file(Around& around, const fs::path& file, double reach,
+                         const StageContext& context)
+    {
+        ReadOptions options;
+        options.keep_foreign = false;
+        options.memory_limit = context.memory_limit;
+        options.fix_nan = context.fix_nan;
+        std::vector<std::string> level_sets, floats;
+        bool known = false;
+        for (const VdbGridInfo& grid : inspect_vdb(file).grids) {
+            if (grid.points) continue;
+            known = known || grid.name == "surface_sdf" || grid.name == "density" ||
+                    grid.name == "obstacle_sdf";
+            if (grid.type.find("float") == std::string::npos) continue;
+            floats.push_back(grid.name);
+            if (grid.grid_class.find("level") != std::string::npos) level_sets.push_back(grid.name);
+        }
+        const Progress progress = context.progress.slice(0, 0);
+        if (known) {
+            options.only = {};
+            for (const char* name : {"surface_sdf", "obstacle_sdf", "density"})
+                options.if_there.insert(name);
+            for (const std::string& name : floats)
+                if (options.if_there.contains(name)) options.only.insert(name);
+            if (around.add_scene(read_vdb(file, options, progress), reach, progress)) return;
+        }
+        // A volume of another program: its level set, or the only grid it has.
+        const std::vector<std::string>& choice = level_sets.empty() ? floats : level_sets;
+        if (choice.size() != 1)
+            throw InvalidInput(fmt::format(
+                "{}: expected surface_sdf, obstacle_sdf, density or one level set, it has {}",
+                file.string(),
+                choice.empty() ? "no float grid" : fmt::format("{}", fmt::join(choice, ", "))));
+        options.only = {choice.front()};
+        const Scene other = read_vdb(file, options, progress);
+        around.add_level_set(
+            *around.grids.emplace_back(std::make_unique<FloatGrid>(other.floats(choice.front()))));
+    }
+
+    void prune(tree::Grove& grove) const
+    {
+        if (!params_.prune_above && !params_.prune_generation) return;
+        const double unit = grove.params().unit_length;
+        const std::size_t cut = grove.prune([&](const tree::Branches& b, std::size_t i) {
+            if (params_.prune_generation && b.generation[i] > *params_.prune_generation)
+                return true;
+            return params_.prune_above && b.end(i).z * unit > *params_.prune_above;
+        });
+        log::info("tree: cut {} branches", cut);
+    }
+
+    void put(Scene& scene, const tree::Grove& grove,
+             const std::vector<tree::GenerationStatistics>& growth, const StageContext& context,
+             const Progress& progress) const
+    {
+        const tree::GroveParams& params = grove.params();
+        const std::vector<double> radius =
+            tree::thickness(grove.branches(), grove.species(), grove.plants());
+        put_grove(scene, grove, radius);
+        put_growth(scene, growth);
+        double least = INFINITY;
+        for (const tree::Species& s : grove.species()) least = std::min(least, s.ball_radius);
+        tree::Canopy canopy = tree::canopy(
+            grove, params_.voxel.value_or(least * params.unit_length / 2), progress.slice(0, 0.4));
+        scene.put("canopy_lad", std::move(canopy.leaf_area_density), "1/m", "tree",
+                  GridClass::FogVolume);
+        scene.put("canopy_RU", std::move(canopy.drag), "1/m", "tree", GridClass::FogVolume);
+        scene.put("tree_light", std::move(canopy.light), "", "tree", GridClass::FogVolume);
+        scene.points.erase("leaves");
+        if (params_.leaves) put_leaves(scene, grove);
+        scene.grids.erase("tree_sdf");
+        if (params_.wood)
+            scene.put("tree_sdf",
+                      tree::wood_level_set(grove.branches(), radius, params.unit_length,
+                                           params_.wood_voxel, progress.slice(0.4, 0.8)),
+                      "m", "tree", GridClass::LevelSet);
+        const std::string settings = grove_settings(grove);
+        for (const char* name : {"canopy_lad", "canopy_RU", "tree_light", "tree_sdf"}) {
+            if (!scene.has(name)) continue;
+            Json& extra = scene.grids.at(name).extra;
+            extra["tree"] = settings;
+            extra["tree_version"] = info().version;
+            extra["seed"] = std::to_string(grove.state().seed);
+            extra["unit_length"] = fmt::format("{}", params.unit_length);
+            extra["method"] =
+                std::string(choice_names(params.method)[static_cast<std::size_t>(params.method)]);
+        }
+        if (!params_.skeleton.empty()) {
+            const fs::path file = resolve(context, params_.skeleton);
+            write_file(file, encode_skeleton(grove, radius, file.extension().string()));
+        }
+        if (!params_.mesh.empty()) {
+            const TriMesh bark = tree::bark_tubes(grove.branches(), radius, params.unit_length, {},
+                                                  progress.slice(0.8, 1));
+            const fs::path file = resolve(context, params_.mesh);
+            if (bark.triangles.empty())
+                log::warning("{}: not written, no tree is left", file.string());
+            else
+                write_mesh(file, bark, progress.slice(1, 1));
+        }
+    }
+
+    static void put_leaves(Scene& scene, const tree::Grove& grove)
+    {
+        tree::Leaves leaves = tree::leaves(grove, grove.state().seed);
+        Points points;
+        points.stage = "tree";
+        points.position = std::move(leaves.position);
+        std::vector<std::int64_t> id(points.position.size());
+        for (std::size_t i = 0; i < id.size(); ++i) id[i] = static_cast<std::int64_t>(i);
+        points.attributes["id"] = std::move(id);
+        points.attributes["N"] = std::move(leaves.normal);
+        points.attributes["orient"] = std::move(leaves.orient);
+        points.attributes["pscale"] = std::move(leaves.pscale);
+        points.attributes["area"] = std::move(leaves.area);
+        points.attributes["ball"] = std::move(leaves.ball);
+        points.attributes["species"] = std::move(leaves.species);
+        points.attributes["tree"] = std::move(leaves.tree);
+        scene.points["leaves"] = std::move(points);
+    }
+
+    static Json summary_of(const tree::Grove& grove, tree::Status status, const Scene& scene)
+    {
+        const tree::Shape shape = tree::shape_of(grove);
+        const double unit = grove.params().unit_length;
+        const Points& plants = scene.points.at("trees");
+        double trunk = 0, height = 0, area = 0;
+        for (const float r : *plants.values<float>("trunk_radius"))
+            trunk = std::max(trunk, 2 * double(r));
+        for (const float h : *plants.values<float>("height")) height = std::max(height, double(h));
+        if (const auto leaves = scene.points.find("leaves"); leaves != scene.points.end())
+            for (const float a : *leaves->second.values<float>("area")) area += double(a);
+        Json summary{{"status", status == tree::Status::Extinct ? "extinct"
+                                : status == tree::Status::Limit ? "limit"
+                                                                : "growing"},
+                     {"generation", grove.generation()},
+                     {"trees", grove.plants().size()},
+                     {"branches", grove.branches().size()},
+                     {"tips", grove.tips()},
+                     {"height_m", height},
+                     {"trunk_diameter_m", trunk}};
+        if (area > 0) summary["leaf_area_m2"] = area;
+        if (shape.tips > 0) {
+            summary["crown_radius_m"] = shape.radius_max * unit;
+            summary["lowest_m"] = shape.lowest * unit;
+            summary["weeping"] = shape.weeping;
+            summary["mean_light"] = shape.mean_light;
+            summary["hole_cv"] = shape.hole_cv;
+            summary["spacing_cv"] = shape.spacing_cv;
+            summary["sphericity"] = shape.sphericity;
+            summary["lean"] = Json::array({shape.lean.x, shape.lean.y});
+        }
+        return summary;
+    }
+
+    TreeParams params_;
+    tree::GroveParams grove_;
+    tree::Species species_;
+    std::set<std::string> given_;
+};
+
+}  // namespace
+
+std::unique_ptr<Stage> make_tree()
+{
+    return std::make_unique<TreeStage>();
+}
+
+}  // namespace sekitei::apps
