@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <numeric>
@@ -11,6 +12,8 @@
 #include "core/math.h"
 #include "core/parallel.h"
 #include "core/random.h"
+#include "solvers/tree/crown_shade.h"
+#include "solvers/tree/grove.h"
 
 namespace sekitei::tree {
 namespace {
@@ -379,7 +382,7 @@ TEST(CrownHits, AreNoneWithoutBallsOrWithoutPlaces)
 TEST(CrownLight, IsBitIdenticalForAnyNumberOfThreads)
 {
     const Balls balls = crown(400, 0.5);
-    for (const Method method : {Method::Naive, Method::Sweep, Method::Bvh}) {
+    for (const Method method : {Method::Naive, Method::Sweep, Method::Bvh, Method::Grid}) {
         auto on_threads = [&](std::size_t n) {
             const ThreadLimit limit(n);
             return light_of(balls, {.method = method});
@@ -391,6 +394,125 @@ TEST(CrownLight, IsBitIdenticalForAnyNumberOfThreads)
             EXPECT_EQ(one.towards, other.towards);
         }
     }
+}
+
+/// How light by the grid differs from light by sweep.
+struct Errors {
+    std::vector<double> light, angle;  ///< ascending; [1], [deg]
+
+    void add(const Balls& balls)
+    {
+        const CrownLight exact = light_of(balls), grid = light_of(balls, {.method = Method::Grid});
+        for (std::size_t i = 0; i < balls.size(); ++i) {
+            light.push_back(std::abs(grid.light[i] - exact.light[i]));
+            angle.push_back(math::acos(dot(grid.towards[i], exact.towards[i])) * 180 / math::kPi);
+        }
+        std::sort(light.begin(), light.end());
+        std::sort(angle.begin(), angle.end());
+    }
+    static double mean(const std::vector<double>& v)
+    {
+        return std::accumulate(v.begin(), v.end(), 0.0) / static_cast<double>(v.size());
+    }
+    static double p99(const std::vector<double>& v)
+    {
+        return v[static_cast<std::size_t>(0.99 * static_cast<double>(v.size()))];
+    }
+};
+
+Grove table_one(std::uint64_t seed, Method method)
+{
+    GroveParams params;
+    params.ground = false;
+    params.method = method;
+    return {params, {Species{}}, {Plant{}}, seed};
+}
+
+TEST(CrownGrid, ErrsLessThanThePatchesDo)
+{
+    std::vector<Grove> groves;
+    for (const std::uint64_t seed : {1u, 2u, 3u}) groves.push_back(table_one(seed, Method::Sweep));
+    for (const int generations : {10, 20, 30, 40}) {
+        Errors errors;
+        for (Grove& grove : groves) {
+            while (grove.generation() < generations) grove.step();
+            errors.add(grove.balls());
+        }
+        EXPECT_LE(Errors::mean(errors.light), 0.010) << generations;
+        EXPECT_LE(Errors::p99(errors.light), 0.03) << generations;
+        EXPECT_LE(errors.light.back(), 0.06) << generations;
+        EXPECT_LE(Errors::mean(errors.angle), 4) << generations;
+        EXPECT_LE(Errors::p99(errors.angle), 12) << generations;
+    }
+}
+
+TEST(CrownGrid, GrowsTreesOfAsManyTips)
+{
+    std::size_t grid = 0, sweep = 0;
+    for (std::uint64_t seed = 1; seed <= 5; ++seed) {
+        for (const Method method : {Method::Grid, Method::Sweep}) {
+            Grove grove = table_one(seed, method);
+            grove.grow(30);
+            (method == Method::Grid ? grid : sweep) += grove.tips();
+        }
+    }
+    EXPECT_NEAR(static_cast<double>(grid) / static_cast<double>(sweep), 1, 0.1);
+}
+
+TEST(CrownGrid, CountsNearBallsByTheRule)
+{
+    const std::vector<Vec3d> at{{0, 0, 0}, {2.9, .5, 1}, {-1, 1.5, -2}, {.2, .1, .1}};
+    const Balls balls{at, std::vector<double>(at.size(), 2.0)};
+    for (const Occlusion rule : {Occlusion::Ahead, Occlusion::Full, Occlusion::Exclude}) {
+        const CrownLight exact = light_of(balls, {.occlusion = rule}),
+                         grid = light_of(balls, {.occlusion = rule, .method = Method::Grid});
+        for (std::size_t i = 0; i < at.size(); ++i)
+            EXPECT_NEAR(grid.light[i], exact.light[i], 0.005);
+    }
+}
+
+TEST(CrownGrid, HoldsAllOfEachBallsVolume)
+{
+    // Depth summed over all directions is the sum of kappa V / distance^2, but for the balls' size.
+    const SkyPatches sky = sky_patches(256, 512, 1, 1);
+    const Balls balls{{{1.3, 2.2, 7.1}, {14, -20, 3.4}, {-31, 9, 12}}, {1.0, 1.7, 3.3}};
+    const Vec3d at(2, 1, -9);
+    const double tau = 0.7;
+    const ExtinctionGrid grid(sky, balls, tau, Occlusion::Ahead, {});
+    std::vector<double> share(sky.size());
+    grid.shade(at, Lookers::kNoBall, share);
+    double depth = 0, expected = 0;
+    for (std::size_t p = 0; p < sky.size(); ++p) depth -= math::log(share[p]) * sky.solid[p];
+    for (std::size_t j = 0; j < balls.size(); ++j) {
+        const double r = balls.radius[j], d = length(balls.centre[j] - at),
+                     kappa = -math::log(tau) / (4 * r / 3);
+        expected +=
+            kappa * 2 * math::kPi * (r + (r * r - d * d) / (2 * d) * math::log((d + r) / (d - r)));
+    }
+    EXPECT_NEAR(depth / expected, 1, 0.01);
+
+    // Along the axis of a ball: that of its diameter, blurred by a voxel.
+    const Vec3d to = normalized(balls.centre[2] - at);
+    double nearest = -1, along = 0;
+    for (std::size_t p = 0; p < sky.size(); ++p)
+        if (dot(sky.direction[p], to) > nearest)
+            nearest = dot(sky.direction[p], to), along = -math::log(share[p]);
+    EXPECT_NEAR(along, -math::log(tau) * 1.5, 0.02);
+}
+
+TEST(CrownGrid, LetsAllPassWhereLeavesAreClear)
+{
+    const CrownLight light = light_of(crown(50), {.transmission = 1, .method = Method::Grid});
+    for (const double l : light.light) EXPECT_EQ(l, 1);
+}
+
+TEST(CrownGrid, SaysThatCrownsAreTooFarApart)
+{
+    Balls balls = crown(10);
+    balls.centre[3] += Vec3d(1e5, 1e5, 1e5);
+    EXPECT_THAT([&] { light_of(balls, {.method = Method::Grid}); },
+                ThrowsMessage<LimitExceeded>(
+                    AllOf(HasSubstr("so far apart"), HasSubstr("method = sweep"))));
 }
 
 TEST(CrownLight, NamesWhatIsOutOfRange)
