@@ -507,6 +507,35 @@ void wall_and_roof(const Seeds& seeds)
         // Single trees differ by more: the same mesh 1 mm aside changes them by up to a quarter.
         EXPECT_NEAR(mean(by_grid_tips), mean(by_mesh_tips), 0.05 * mean(by_mesh_tips));
     }
+
+    // Light alone leads the trees above past both. One that does not turn runs into a ceiling close
+    // above, and goes on along it.
+    const Bounds ceiling{{-12, -12, 20}, {12, 12, 21}};
+    const TriMesh mesh = shapes::box(ceiling.lower * metre, ceiling.upper * metre);
+    const FloatGrid grid =
+        level_set_from_mesh(mesh, {ceiling.lower * metre - Vec3d(0.5), 0.05}, {});
+    Surroundings by_grid, by_mesh;
+    by_grid.obstacles.push_back(level_set_obstacle(grid));
+    by_mesh.obstacles.push_back(mesh_obstacle(mesh, 1.0, {}));
+    for (const std::uint64_t seed : seeds)
+        for (const Surroundings* around : {&by_grid, &by_mesh}) {
+            GroveParams params = open_air();
+            params.transmission = 0.999;
+            params.obstacle_albedo = 1;
+            Species species = table_1(0);
+            species.death_threshold = 0.3;
+            Grove grove = one_tree(seed, species, params, around);
+            grove.grow(10);
+            const Shape s = shape_of(grove);
+            const Branches& b = grove.branches();
+            std::size_t along = 0;
+            for (std::size_t i = 0; i < b.size(); ++i) along += std::abs(b.direction[i].z) < 0.01;
+            say("S12 ceiling by {} seed {}: n {} highest {:.3f}, {} along it\n",
+                around == &by_grid ? "grid" : "mesh", seed, s.tips, s.highest, along);
+            EXPECT_GT(s.tips, 100u);
+            EXPECT_GT(along, 100u);
+            EXPECT_LE(s.highest, 20 - params.clearance + (around == &by_grid ? 0.01 : 1e-6));
+        }
     for (const std::uint64_t seed : seeds) {
         const double lean = shape_of(grown(seed, Species{})).lean.x;
         say("S12 nothing seed {}: lean {:.3f}\n", seed, lean);
@@ -568,6 +597,14 @@ void dead_wood(const Seeds& seeds)
             EXPECT_EQ(grove.tips(), clean.tips());
             for (std::size_t i = 0; i < b.size(); ++i) {
                 ASSERT_TRUE(b.parent[i] < 0 || !b.alive(i) || b.alive(std::size_t(b.parent[i])));
+            }
+            // Wood lives as long as something on it does.
+            std::vector<bool> feeds(b.size());
+            for (std::size_t i = b.size(); i-- > 0;) {
+                if (b.is(i, Branches::kTip)) feeds[i] = true;
+                if (b.parent[i] >= 0 && b.alive(i) && feeds[i])
+                    feeds[std::size_t(b.parent[i])] = true;
+                ASSERT_EQ(b.alive(i), feeds[i]);
             }
             shares.push_back(double(b.size() - alive.size()) / double(b.size()));
         }
