@@ -107,6 +107,55 @@ Vec3d nodes_of(const Transform& transform, Vec3d at)
     return transform.voxels(at) - Vec3d(0.5);
 }
 
+/// The eight voxels around places, mostly of one leaf, which is then looked up once.
+class Corners {
+public:
+    explicit Corners(const FloatGrid& grid) : grid_(grid), reader_(grid) {}
+
+    /// Values at c + (0 or 1), x slowest.
+    void read(Coord c, std::array<double, 8>& v)
+    {
+        const Coord origin = leaf_origin(c);
+        if (!known_ || !(origin == origin_)) {
+            origin_ = origin;
+            leaf_ = grid_.topology()->find(origin);
+            values_ = leaf_ == kNoLeaf ? nullptr : grid_.values(leaf_);
+            known_ = true;
+        }
+        if ((c.x & 7) == 7 || (c.y & 7) == 7 || (c.z & 7) == 7) {
+            for (int k = 0; k < 8; ++k)
+                v[std::size_t(k)] = double(reader_.value(c + Coord(k >> 2, (k >> 1) & 1, k & 1)));
+        } else if (values_) {
+            const float* at = values_ + leaf_offset(c);
+            v = {double(at[0]),  double(at[1]),  double(at[8]),  double(at[9]),
+                 double(at[64]), double(at[65]), double(at[72]), double(at[73])};
+        } else
+            v.fill(double(leaf_ == kNoLeaf ? grid_.background() : grid_.constant(leaf_)));
+    }
+
+private:
+    const FloatGrid& grid_;
+    GridReader<float> reader_;
+    Coord origin_;
+    std::uint32_t leaf_ = kNoLeaf;
+    const float* values_ = nullptr;
+    bool known_ = false;
+};
+
+/// Trilinear between the corners, f in 0..1.
+double mixed(const std::array<double, 8>& v, Vec3d f)
+{
+    auto mix = [](double a, double b, double t) { return a + (b - a) * t; };
+    return mix(mix(mix(v[0], v[1], f.z), mix(v[2], v[3], f.z), f.y),
+               mix(mix(v[4], v[5], f.z), mix(v[6], v[7], f.z), f.y), f.x);
+}
+
+Coord floor_of(Vec3d p)
+{
+    return {static_cast<std::int32_t>(std::floor(p.x)), static_cast<std::int32_t>(std::floor(p.y)),
+            static_cast<std::int32_t>(std::floor(p.z))};
+}
+
 bool within_indices(Vec3d p)
 {
     return std::abs(p.x) < kLargest && std::abs(p.y) < kLargest && std::abs(p.z) < kLargest;
@@ -125,13 +174,16 @@ public:
     {
         const double h = grid_->transform().voxel;
         const Vec3d p = nodes_of(grid_->transform(), from);
-        GridReader<float> reader(*grid_);
+        Corners corners(*grid_);
+        std::array<double, 8> v;
         return walk(p, direction, kLeafEdge, lower_, upper_, 0, kFar,
                     [&](Coord block, double t, double end) {
                         if (blocks_->find(block * kLeafEdge) == kNoLeaf) return false;
                         while (true) {
-                            const double d =
-                                double(reader.sample(p + direction * t + Vec3d(0.5))) / h;
+                            const Vec3d at = p + direction * t;
+                            const Coord cell = floor_of(at);
+                            corners.read(cell, v);
+                            const double d = mixed(v, at - Vec3d(cell)) / h;
                             if (d < 0) return true;
                             if (t == end) return false;
                             // Distances of united or cut bodies are too large here and there.
@@ -380,8 +432,8 @@ double BackgroundShade::transmittance(Vec3d from, Vec3d direction) const
     const Transform& transform = grid_->transform();
     const double per_voxel = projection_ * transform.voxel;
     const Vec3d p = nodes_of(transform, from);
-    GridReader<float> reader(*grid_);
-    auto density = [&](double t) { return double(reader.sample(p + direction * t + Vec3d(0.5))); };
+    Corners corners(*grid_);
+    std::array<double, 8> v;
     double depth = 0;
     walk(p, direction, kLeafEdge, lower_, upper_, 0, kFar,
          [&](Coord block, double begin, double end) {
@@ -395,11 +447,13 @@ double BackgroundShade::transmittance(Vec3d from, Vec3d direction) const
              // its integral exactly.
              const Coord low = block * kLeafEdge;
              walk(p, direction, 1, low, low + Coord(kLeafEdge), begin, end,
-                  [&](Coord, double a, double b) {
+                  [&](Coord cell, double a, double b) {
                       constexpr double kGauss = 0.57735026918962576451;
-                      const double middle = (a + b) / 2, half = (b - a) / 2;
-                      depth += per_voxel * half *
-                               (density(middle - half * kGauss) + density(middle + half * kGauss));
+                      corners.read(cell, v);
+                      const Vec3d middle = p + direction * ((a + b) / 2) - Vec3d(cell);
+                      const double half = (b - a) / 2;
+                      const Vec3d off = direction * (half * kGauss);
+                      depth += per_voxel * half * (mixed(v, middle - off) + mixed(v, middle + off));
                       return false;
                   });
              return depth > kOpaque;
