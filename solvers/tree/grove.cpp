@@ -323,7 +323,7 @@ void Grove::place(std::size_t plant)
     b.parent.push_back(-1);
     b.tree.push_back(static_cast<std::int32_t>(plant));
     b.key.push_back(hash2(seed_, next_root_++));
-    b.generation.push_back(generation_);
+    b.generation.push_back(plants_[plant].from);
     b.order.push_back(0);
     b.flags.push_back(Branches::kTip | Branches::kLeader);
     b.start.push_back(plants_[plant].origin);
