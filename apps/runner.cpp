@@ -716,10 +716,7 @@ private:
     }
 
     /// Whether stage i writes scenes on its way.
-    bool wants_frames(std::size_t i) const
-    {
-        return stage(i).process->frame_interval() != 0;
-    }
+    bool wants_frames(std::size_t i) const { return stage(i).process->frame_interval() != 0; }
     static bool makes_item(Stage& process, const std::string& name)
     {
         const std::vector<std::string> names = process.makes();

@@ -284,8 +284,8 @@ public:
         if (grove.method == tree::Method::Grid && grove.transmission == 0)
             throw InvalidParameter(
                 "tree: transmission = 0, must be > 0 with method = grid; use method = sweep");
-        if (grove.transmission == 1)
-            log::warning("tree: transmission = 1: leaves do not shade one another");
+        if (grove.transmission == 0)
+            log::warning("tree: transmission = 0: leaves are made as if it were {}", kNearlyOpaque);
         for (const std::string& name : split_names(params_.species))
             if (fs::path(name).extension() != ".toml") checked(find_tree(name, {}));
         if (split_names(params_.species).empty()) checked({});
@@ -480,16 +480,23 @@ private:
             tree::thickness(grove.branches(), grove.species(), grove.plants());
         put_grove(scene, grove, radius);
         put_growth(scene, growth);
+        // No number of leaves is opaque; those that nearly are stand for them.
+        tree::Grove leafy = grove;
+        if (params.transmission == 0) {
+            tree::GroveParams thin = params;
+            thin.transmission = kNearlyOpaque;
+            leafy.set_params(thin);
+        }
         double least = INFINITY;
         for (const tree::Species& s : grove.species()) least = std::min(least, s.ball_radius);
         tree::Canopy canopy = tree::canopy(
-            grove, params_.voxel.value_or(least * params.unit_length / 2), progress.slice(0, 0.4));
+            leafy, params_.voxel.value_or(least * params.unit_length / 2), progress.slice(0, 0.4));
         scene.put("canopy_lad", std::move(canopy.leaf_area_density), "1/m", "tree",
                   GridClass::FogVolume);
         scene.put("canopy_RU", std::move(canopy.drag), "1/m", "tree", GridClass::FogVolume);
         scene.put("tree_light", std::move(canopy.light), "", "tree", GridClass::FogVolume);
         scene.points.erase("leaves");
-        if (params_.leaves) put_leaves(scene, grove);
+        if (params_.leaves) put_leaves(scene, leafy);
         scene.grids.erase("tree_sdf");
         if (params_.wood)
             scene.put("tree_sdf",
@@ -574,6 +581,8 @@ private:
         }
         return summary;
     }
+
+    static constexpr double kNearlyOpaque = 0.01;
 
     TreeParams params_;
     tree::GroveParams grove_;
