@@ -20,12 +20,13 @@ using math::kPi;
 constexpr double kNearest = 0.7;  // stations of a bent limb that lie nearer become one
 constexpr double kSpacing = 10;   // most between rings, in BarkParams::edge
 constexpr double kFlare = 1.35;   // thickness of a side limb where it leaves its parent
-constexpr double kHidden =
-    0.95;  // share of its parent's inscribed circle that its first ring may fill
+constexpr double kHidden = 0.95;  // most of its parent's inscribed circle that it fills there
 constexpr double kFlareLength = 2.5;
 constexpr double kMiter = 1.5;   // most that a ring is widened across a bend
 constexpr double kReach = 0.45;  // most of a piece of limb that a slanting ring takes up
 constexpr double kPinch = 0.3;   // least of its width that it keeps for that
+constexpr double kTurn = 0.2;    // a bend that a limb may have from ring to ring, if thick
+constexpr double kSharp = 1;     // more is a kink
 constexpr double kCone = 0.6;    // height of tips' ends
 
 /// Where a ring goes.
@@ -260,7 +261,45 @@ private:
                     kept.pop_back();
             kept.push_back(list[k]);
         }
-        return kept;
+        return rounded(kept);
+    }
+
+    /// Cubic curves through the stations instead of lines, where bends of thick limbs would show.
+    std::vector<Station> rounded(const std::vector<Station>& list) const
+    {
+        const std::size_t n = list.size();
+        std::vector<Vec3d> way(n - 1);  // of the pieces
+        for (std::size_t j = 0; j + 1 < n; ++j) way[j] = normalized(list[j + 1].at - list[j].at);
+        auto turn = [&](std::size_t j) {  // angle at a station
+            if (j == 0 || j + 1 == n) return 0.0;
+            return math::atan2(length(cross(way[j - 1], way[j])), dot(way[j - 1], way[j]));
+        };
+        auto tangent = [&](std::size_t j) {
+            return normalized(way[j > 0 ? j - 1 : 0] + way[std::min(j, n - 2)]);
+        };
+        std::vector<Station> fine;
+        for (std::size_t j = 0; j < n; ++j) {
+            fine.push_back(list[j]);
+            if (j + 1 == n || corners(list[j].radius) <= std::uint32_t(params_.least_sides))
+                continue;
+            const Station &a = list[j], &b = list[j + 1];
+            const double size = length(b.at - a.at);
+            // Sharp bends, and those tighter than the limb is thick, stay as they are: the curve
+            // would be tighter still.
+            const double bend = std::max(turn(j), turn(j + 1));
+            if (bend > kSharp || size < 2 * a.radius * bend) continue;
+            const int parts = static_cast<int>(
+                std::min(std::ceil(bend / kTurn), std::floor(size / (kNearest * a.radius))));
+            const Vec3d da = tangent(j) * size, db = tangent(j + 1) * size;
+            for (int i = 1; i < parts; ++i) {
+                const double t = double(i) / parts, u = 1 - t;
+                // Hermite's cubic.
+                const Vec3d at = a.at * (u * u * (1 + 2 * t)) + b.at * (t * t * (1 + 2 * u)) +
+                                 da * (u * u * t) - db * (t * t * u);
+                fine.push_back({at, a.radius + (b.radius - a.radius) * t, a.branch});
+            }
+        }
+        return fine;
     }
 
     std::vector<Ring> rings(std::size_t chain) const

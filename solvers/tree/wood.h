@@ -31,9 +31,10 @@ struct BarkParams {
 };
 /// Tubes of bark: one closed, outward, 2-manifold generalised cylinder for each chain of branches
 /// (a parent and its thickest child go on as one), its rings at planes that halve the bends, turned
-/// without twist along it. Rings have as many corners as their radius asks for, and may have fewer
-/// than the ring below. Side limbs begin on their parent's axis, within it, with a flare; ends are
-/// capped. Sharp bends are pinched rather than folded; kinks shorter than 0.7 radii are left out.
+/// without twist along it; the bends of thick limbs are rounded between the joints. Rings have as
+/// many corners as their radius asks for, and may have fewer than the ring below. Side limbs begin
+/// on their parent's axis, within it, with a flare; ends are capped. Sharp bends are pinched rather
+/// than folded; kinks shorter than 0.7 radii are left out.
 ///
 /// Vertex attributes `normal` (Vec3f), `radius` [m]; face attributes `branch` (index), `tree`, and
 /// `uv_0`, `uv_1`, `uv_2` (Vec3f: metres around, metres along, 0) of the three corners, with the
@@ -50,9 +51,9 @@ TriMesh bark_tubes(const Branches& branches, std::span<const double> radius, dou
 /// meet by a smooth one, 0.7 radii of the thinner limb wide. Band of kBandVoxels, negative inside
 /// [m]; voxels count from (0, 0, 0) on, from a place at a multiple of 8 voxels.
 ///
-/// Branches thinner than half a voxel are left out, but for trees' first ones: as thick as voxels
-/// they would make a crown of their own. The others are drawn no thinner than half a voxel's
-/// diagonal, so that what is left of a tree hangs together once it is meshed.
+/// Branches thinner than a voxel are left out, but for trees' first ones: as thick as voxels
+/// they would make a crown of their own. The others have at least half a voxel's diagonal
+/// for a radius, so that what is left of a tree hangs together once it is meshed.
 /// @param voxel  [m]
 /// @throws InvalidInput, InvalidParameter  as bark_tubes()
 /// @throws LimitExceeded  estimated before anything is allocated

@@ -111,6 +111,18 @@ TEST(Surroundings, RaysAlongAxesAndThroughVoxelCornersAreSeen)
         }
 }
 
+TEST(Surroundings, GrazingRaysAreSeen)
+{
+    const FloatGrid grid = ball_grid();
+    const auto ball = level_set_obstacle(grid);
+    for (std::uint64_t i = 0; i < 2000; ++i) {
+        const Vec3d way = random_unit(i), side = normalized(cross(way, random_unit(i + 9999)));
+        const Vec3d from = kCentre - way * 3;
+        EXPECT_TRUE(ball->blocks(from + side * (kRadius - 0.03 * kVoxel), way)) << i;
+        EXPECT_FALSE(ball->blocks(from + side * (kRadius + 0.03 * kVoxel), way)) << i;
+    }
+}
+
 TEST(Surroundings, SharpEdgesHaveTheirInside)
 {
     // Near edges and corners the nearest triangle alone does not tell the side.

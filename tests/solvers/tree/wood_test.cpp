@@ -191,6 +191,55 @@ TEST(Bark, BendsDoNotFoldOver)
         }
 }
 
+TEST(Bark, ThickLimbsAreRoundedBetweenTheirJoints)
+{
+    Limbs limbs;
+    std::int32_t last = -1;
+    for (int k = 0; k < 6; ++k)
+        last = limbs.add(last, {std::sin(0.5 * k), 0, std::cos(0.5 * k)}, 1, k == 5);
+    const std::vector<double> radius(6, 0.02);
+    const TriMesh mesh = bark_tubes(limbs.branches, radius, kUnit, {.edge = 0.01}, {});
+    expect_limbs(mesh, 1);
+    // Neighbouring faces along the limb turn by less than the joints do; the limb's joints stay.
+    double sharpest = 1;
+    const auto& normal = std::get<std::vector<Vec3f>>(mesh.vertex_attributes.at("normal"));
+    for (const auto& t : mesh.triangles)
+        for (std::size_t k = 0; k < 3; ++k) {
+            const Vec3d a(mesh.vertices[t[k]]), b(mesh.vertices[t[(k + 1) % 3]]);
+            const Vec3d n(normal[t[k]]), m(normal[t[(k + 1) % 3]]);
+            // Edges along the outer side.
+            if (n.y * n.y < 0.01 && m.y * m.y < 0.01 && length(b - a) > 0.03)
+                sharpest = std::min(sharpest, dot(n, m));
+        }
+    EXPECT_GT(sharpest, std::cos(0.3));
+    for (std::size_t j = 0; j < 6; ++j) {
+        double nearest = 1;
+        for (const Vec3f& v : mesh.vertices)
+            nearest = std::min(nearest, length(Vec3d(v) - limbs.branches.start[j] * kUnit));
+        EXPECT_NEAR(nearest, 0.02, 0.001);
+    }
+}
+
+TEST(Bark, TightArcsArePinched)
+{
+    // Rings that halve these bends would reach past one another on the inner side.
+    for (const auto& [bend, r] : {std::pair{1.2, 0.15}, {1.3, 0.14}, {1.0, 0.16}}) {
+        Limbs limbs;
+        std::int32_t last = -1;
+        for (int k = 0; k < 3; ++k)
+            last = limbs.add(last, {std::sin(k * bend), 0, std::cos(k * bend)}, k == 1 ? 1 : 3);
+        expect_limbs(bark_tubes(limbs.branches, std::vector<double>(3, r), kUnit, {}, {}), 1);
+    }
+}
+
+TEST(Bark, KinksShorterThanALimbIsThickAreLeftOut)
+{
+    for (std::uint64_t seed = 0; seed < 10; ++seed) {
+        const Branches b = wander(20, 0.2, 0.5, seed);
+        expect_limbs(bark_tubes(b, std::vector<double>(20, 0.1), kUnit, {}, {}), 1);
+    }
+}
+
 TEST(Bark, RingsDoNotTwist)
 {
     // Along a helix the seam stays where it is turned to, instead of going round.
@@ -361,11 +410,13 @@ TEST(WoodLevelSet, HasTheVolumeOfTheBark)
 {
     const Branches b = fork();
     const auto radius = radii(b, 0.02);
-    const TriMesh by_grid = meshed(wood_level_set(b, radius, kUnit, 0.004, {}));
+    // Fine enough for leaves that lie all inside.
+    const TriMesh by_grid = meshed(wood_level_set(b, radius, kUnit, 0.002, {}));
     double by_bark = 0;
     for (const TriMesh& piece :
          pieces_of(bark_tubes(b, radius, kUnit, {.edge = 0.004, .most_sides = 64}, {})))
         by_bark += piece.signed_volume();
+    EXPECT_EQ(inspect(by_grid).pieces, 1u);
     // Tubes overlap at forks, capsules have round ends and fillets.
     EXPECT_NEAR(by_grid.signed_volume(), by_bark, 0.1 * by_bark);
 }
