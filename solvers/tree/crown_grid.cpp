@@ -172,6 +172,15 @@ struct ExtinctionGrid::Bricks {
                     {b.x / kEdge, b.y / kEdge, b.z / kEdge},
                     [&](Coord c) { f(c, boxes.index(c)); });
         };
+        double pairs = 0;
+        for (const double r : balls.radius) {
+            const double side = 2 * r / (kEdge * voxel) + 1;
+            pairs += side * side * side;
+        }
+        if (pairs * 4 > kMostBytes / 4)
+            throw LimitExceeded(
+                "tree: method = grid needs radii that differ less, say 4 : 1; method = bvh does "
+                "not");
         std::vector<Coord> place;
         std::vector<std::uint32_t> members;
         for (std::size_t j = 0; j < balls.size(); ++j)
@@ -372,6 +381,13 @@ ExtinctionGrid::ExtinctionGrid(const SkyPatches& sky, const Balls& balls, double
     mean /= static_cast<double>(balls.size());
     // Half a radius; single small balls do not make it finer for all.
     const double voxel = std::max(smallest, mean / 4) / 2, absorbed = -math::log(transmission);
+    const double farthest = std::max({-bounds.lower.x, -bounds.lower.y, -bounds.lower.z,
+                                      bounds.upper.x, bounds.upper.y, bounds.upper.z});
+    if (farthest > 1e9 * voxel)
+        throw LimitExceeded(
+            fmt::format("tree: method = grid cannot tell radii of {} as far out as {}; method = "
+                        "sweep does",
+                        smallest, farthest));
     bounds.lower -= Vec3d(2 * voxel);
     bounds.upper += Vec3d(2 * voxel);
     bricks_ = std::make_unique<Bricks>(balls, voxel, bounds, absorbed, progress);

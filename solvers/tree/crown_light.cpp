@@ -3,9 +3,10 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <limits>
+#include <numeric>
+#include <optional>
 #include <type_traits>
 
 #include "core/clones.h"
@@ -219,7 +220,7 @@ CellPlan cell_plan(const Projected& a, const Projected& b, double radius)
             v0 = std::min(v0, p->v[i]), v1 = std::max(v1, p->v[i]);
         }
     const double most = 4096 + 2 * static_cast<double>(a.u.size() + b.u.size());
-    const double edge = std::max({radius * (1 + 1e-6), (u1 - u0) / most, (v1 - v0) / most});
+    const double edge = std::max({radius * (1 + 1e-6), (u1 - u0) / most, (v1 - v0) / most, 1e-100});
     CellPlan plan{u0, v0, 1 / edge, 1, 1};
     plan.columns = plan.column(u1) + 1;
     plan.rows = plan.row(v1) + 1;
@@ -312,12 +313,18 @@ private:
 
 /// Along one axis, each place against the balls of its cell and the eight around it.
 void count_sorted(const Axis& axis, const Balls& balls, const Lookers& lookers,
-                  const std::vector<double>& r2, double largest, Occlusion occlusion,
+                  const std::vector<double>& r2, double largest, bool alike, Occlusion occlusion,
                   const Progress& progress, HitColumns& hits)
 {
-    const Projected ball(balls.centre, axis), eye(lookers.at, axis);
+    const Projected ball(balls.centre, axis);
+    std::optional<Projected> its_eye;
+    if (!alike) its_eye.emplace(lookers.at, axis);
+    const Projected& eye = alike ? ball : *its_eye;
     const CellPlan plan = cell_plan(ball, eye, largest);
-    const Sorted shading(ball, plan), looking(eye, plan);
+    const Sorted shading(ball, plan);
+    std::optional<Sorted> its_looking;
+    if (!alike) its_looking.emplace(eye, plan);
+    const Sorted& looking = alike ? shading : *its_looking;
     std::vector<double> sorted_r2(balls.size());
     for (std::size_t k = 0; k < balls.size(); ++k) sorted_r2[k] = r2[shading.order[k]];
 
@@ -489,29 +496,88 @@ void count_by_rays(const SkyPatches& sky, const Balls& balls, const Lookers& loo
         16);
 }
 
-HitColumns hit_columns(const SkyPatches& sky, const Balls& balls, const Lookers& lookers,
-                       Occlusion occlusion, Method method, const Progress& progress)
+/// Points in the order of a curve that keeps near ones together; ties by index.
+std::vector<std::uint32_t> near_order(const std::vector<Vec3d>& points)
 {
-    HitColumns hits(sky.size() * lookers.size());
-    if (lookers.size() == 0) return hits;
-    if (method == Method::Bvh) {
-        count_by_rays(sky, balls, lookers, occlusion, progress, hits);
-        return hits;
+    Bounds box;
+    for (const Vec3d p : points) box.add(p);
+    const Vec3d size = box.size();
+    const double most = std::max({size.x, size.y, size.z, 1e-100});
+    // Every third bit.
+    auto spread = [](std::uint64_t v) {
+        v = (v | v << 32) & 0x1F00000000FFFF;
+        v = (v | v << 16) & 0x1F0000FF0000FF;
+        v = (v | v << 8) & 0x100F00F00F00F00F;
+        v = (v | v << 4) & 0x10C30C30C30C30C3;
+        return (v | v << 2) & 0x1249249249249249;
+    };
+    std::vector<std::pair<std::uint64_t, std::uint32_t>> keys(points.size());
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const Vec3<std::uint64_t> q((points[i] - box.lower) * (0x1FFFFF / most));
+        keys[i] = {spread(q.x) | spread(q.y) << 1 | spread(q.z) << 2,
+                   static_cast<std::uint32_t>(i)};
     }
+    std::sort(keys.begin(), keys.end());
+    std::vector<std::uint32_t> order(points.size());
+    for (std::size_t k = 0; k < order.size(); ++k) order[k] = keys[k].second;
+    return order;
+}
+
+/// Hits, and which looker each row of a column is of.
+struct Hits {
+    HitColumns columns;
+    std::vector<std::uint32_t> looker;
+};
+
+/// By sorting. Balls and places are first brought near their neighbours, for the sake of memory.
+Hits sorted_hits(const SkyPatches& sky, const Balls& balls, const Lookers& lookers,
+                 Occlusion occlusion, const Progress& progress)
+{
+    const std::vector<std::uint32_t> ball_order = near_order(balls.centre);
+    std::vector<std::uint32_t> rank(balls.size());
+    Balls near;
     std::vector<double> r2(balls.size());
     double largest = 0;
-    for (std::size_t j = 0; j < balls.size(); ++j) {
-        r2[j] = balls.radius[j] * balls.radius[j];
+    for (std::uint32_t k = 0; k < balls.size(); ++k) {
+        const std::uint32_t j = ball_order[k];
+        rank[j] = k;
+        near.centre.push_back(balls.centre[j]);
+        near.radius.push_back(balls.radius[j]);
+        r2[k] = balls.radius[j] * balls.radius[j];
         largest = std::max(largest, balls.radius[j]);
     }
-    if (balls.size() == 0) return hits;
+    const bool alike = lookers.at == balls.centre;
+    Lookers looking;
+    Hits hits{HitColumns(sky.size() * lookers.size()), alike ? ball_order : near_order(lookers.at)};
+    for (const std::uint32_t i : hits.looker) {
+        const std::uint32_t own = lookers.own[i];
+        looking.at.push_back(lookers.at[i]);
+        looking.own.push_back(own == Lookers::kNoBall ? own : rank[own]);
+    }
     const std::vector<Axis> axes = axes_of(sky);
     parallel_for(axes.size(), [&](std::size_t a) {
-        if (method == Method::Naive)
-            count_pairs(axes[a], balls, lookers, r2, occlusion, progress, hits);
-        else
-            count_sorted(axes[a], balls, lookers, r2, largest, occlusion, progress, hits);
+        count_sorted(axes[a], near, looking, r2, largest, alike, occlusion, progress, hits.columns);
     });
+    return hits;
+}
+
+Hits all_hits(const SkyPatches& sky, const Balls& balls, const Lookers& lookers,
+              Occlusion occlusion, Method method, const Progress& progress)
+{
+    if (method == Method::Sweep && balls.size() > 0 && lookers.size() > 0)
+        return sorted_hits(sky, balls, lookers, occlusion, progress);
+    Hits hits{HitColumns(sky.size() * lookers.size()), std::vector<std::uint32_t>(lookers.size())};
+    std::iota(hits.looker.begin(), hits.looker.end(), 0u);
+    if (method == Method::Bvh)
+        count_by_rays(sky, balls, lookers, occlusion, progress, hits.columns);
+    if (method == Method::Naive) {
+        std::vector<double> r2;
+        for (const double r : balls.radius) r2.push_back(r * r);
+        const std::vector<Axis> axes = axes_of(sky);
+        parallel_for(axes.size(), [&](std::size_t a) {
+            count_pairs(axes[a], balls, lookers, r2, occlusion, progress, hits.columns);
+        });
+    }
     return hits;
 }
 
@@ -546,13 +612,14 @@ std::vector<std::uint16_t> count_hits(const SkyPatches& sky, const Balls& balls,
     check(balls, lookers);
     if (method == Method::Grid)
         throw InvalidParameter("tree: method = grid counts no hits, must be naive, sweep or bvh");
-    const HitColumns columns = hit_columns(sky, balls, lookers, occlusion, method, progress);
+    const Hits found = all_hits(sky, balls, lookers, occlusion, method, progress);
     const std::size_t patches = sky.size(), n = lookers.size();
-    std::vector<std::uint16_t> hits(columns.size());
+    std::vector<std::uint16_t> hits(found.columns.size());
     parallel_for(
         n,
-        [&](std::size_t i) {
-            for (std::size_t p = 0; p < patches; ++p) hits[i * patches + p] = columns[p * n + i];
+        [&](std::size_t k) {
+            std::uint16_t* row = &hits[found.looker[k] * patches];
+            for (std::size_t p = 0; p < patches; ++p) row[p] = found.columns[p * n + k];
         },
         256);
     return hits;
@@ -574,13 +641,14 @@ CrownLight crown_light(const SkyPatches& sky, const Balls& balls, const Lookers&
     check(balls, lookers);
 
     const std::size_t patches = sky.size(), n = lookers.size();
-    HitColumns hits;
+    Hits hits;
     std::unique_ptr<ExtinctionGrid> grid;
-    if (params.method == Method::Grid)
+    if (params.method == Method::Grid) {
         grid = std::make_unique<ExtinctionGrid>(sky, balls, params.transmission, params.occlusion,
                                                 progress);
-    else
-        hits = hit_columns(sky, balls, lookers, params.occlusion, params.method, progress);
+        hits.looker = near_order(lookers.at);
+    } else
+        hits = all_hits(sky, balls, lookers, params.occlusion, params.method, progress);
     const std::vector<double> power = powers(params.transmission, balls.size());
     std::vector<double> weights;
     if (params.direction == LightDirection::Brightest) weights = brightness_weights(sky);
@@ -590,13 +658,15 @@ CrownLight crown_light(const SkyPatches& sky, const Balls& balls, const Lookers&
         n,
         [&](std::size_t begin, std::size_t end) {
             std::vector<double> light(patches);
-            for (std::size_t i = begin; i < end; ++i) {
+            for (std::size_t k = begin; k < end; ++k) {
                 progress.check();
+                const std::size_t i = hits.looker[k];
                 if (grid)
                     grid->shade(lookers.at[i], lookers.own[i], light);
                 else
                     for (std::size_t p = 0; p < patches; ++p)
-                        light[p] = power[std::min<std::size_t>(hits[p * n + i], power.size() - 1)];
+                        light[p] =
+                            power[std::min<std::size_t>(hits.columns[p * n + k], power.size() - 1)];
                 double sum = 0;
                 Vec3d towards;
                 for (std::size_t p = 0; p < patches; ++p) {

@@ -27,7 +27,7 @@ using namespace sekitei::tree;
 Balls crown(std::size_t n, Vec3d middle = {})
 {
     Balls balls;
-    const double size = 1.03 * std::sqrt(static_cast<double>(n));
+    const double size = 0.5 * std::sqrt(static_cast<double>(n));
     for (std::uint64_t i = 0; i < n; ++i) {
         auto draw = [&](std::uint64_t what) { return uniform_of_key(hash2(n, what), i); };
         const double z = 1.6 * draw(1) - 0.6, a = 2 * math::kPi * draw(2),
@@ -45,7 +45,7 @@ Balls forest(std::size_t n, int trees)
     const std::size_t each = n / static_cast<std::size_t>(trees * trees);
     for (int i = 0; i < trees; ++i)
         for (int j = 0; j < trees; ++j) {
-            const double apart = 2.0 * std::sqrt(static_cast<double>(each));
+            const double apart = 1.0 * std::sqrt(static_cast<double>(each));
             const Balls one = crown(each, Vec3d(i, j, 0) * apart);
             all.centre.insert(all.centre.end(), one.centre.begin(), one.centre.end());
             all.radius.insert(all.radius.end(), one.radius.begin(), one.radius.end());

@@ -326,7 +326,10 @@ TEST(CrownHits, OfSweepAreThoseOfAllPairs)
             for (const Occlusion rule : {Occlusion::Ahead, Occlusion::Full, Occlusion::Exclude}) {
                 const SkyPatches sky = sky_patches(rows, across, 3, 2);
                 const Balls balls = crown(700, spread);
-                for (const Lookers& lookers : {all_of(balls), scattered(balls, 333)})
+                Lookers odd = all_of(balls);  // the same places, other balls their own
+                for (std::uint32_t i = 0; i < balls.size(); ++i)
+                    odd.own[i] = i % 2 == 0 ? Lookers::kNoBall : (i * 31) % 700;
+                for (const Lookers& lookers : {all_of(balls), scattered(balls, 333), odd})
                     EXPECT_EQ(hits(sky, balls, lookers, rule, Method::Sweep),
                               hits(sky, balls, lookers, rule, Method::Naive));
             }
@@ -513,6 +516,9 @@ TEST(CrownGrid, SaysThatCrownsAreTooFarApart)
     EXPECT_THAT([&] { light_of(balls, {.method = Method::Grid}); },
                 ThrowsMessage<LimitExceeded>(
                     AllOf(HasSubstr("so far apart"), HasSubstr("method = sweep"))));
+    for (Vec3d& p : balls.centre) p += Vec3d(1e10, 0, 0);
+    EXPECT_THAT([&] { light_of(balls, {.method = Method::Grid}); },
+                ThrowsMessage<LimitExceeded>(HasSubstr("as far out as 1")));
 }
 
 TEST(CrownLight, NamesWhatIsOutOfRange)
