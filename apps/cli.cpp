@@ -125,7 +125,7 @@ struct Command {
     std::map<std::string, bool> flags;
     std::string stage, shell, text, at, face;
     bool dry_run = false, full = false, markdown = false;
-    std::string tolerance = "0", growth = "2";
+    std::string tolerance = "0", growth = "2", variants = "4", generations = "10,20,30,40";
     std::function<int(const Common&)> run;
 };
 
@@ -286,6 +286,44 @@ void add_tool_commands(CLI::App& program, Commands& commands)
         c.app->add_option("stage", c.stage, "one stage only")->type_name("STAGE");
         c.app->add_flag("--markdown", c.markdown, "as a reference page for people");
         c.run = [&c](const Common&) { return command_schema(c.stage, c.markdown); };
+    }
+    {
+        Command& c = add("specimens");
+        c.app->add_option("-o,--output", c.common.output, "existing folder to write into")
+            ->type_name("FOLDER")
+            ->required()
+            ->expected(1)
+            ->group("General");
+        c.app->add_flag("--force", c.common.force, "replace existing files")->group("General");
+        c.app
+            ->add_option("--species", c.files,
+                         "kinds of trees: names of presets or .toml files; may be repeated "
+                         "(default: beech)")
+            ->type_name("NAME")
+            ->allow_extra_args(false);
+        c.app->add_option("--variants", c.variants, "of each, 1 to 1000 (default 4)")
+            ->type_name("N");
+        c.app
+            ->add_option("--generations", c.generations,
+                         "ages at which a model is taken: height classes (default 10,20,30,40)")
+            ->type_name("N,N,...");
+        c.app->add_option("--seed", c.common.seed, "of the first variant (default 1)")
+            ->type_name("N")
+            ->group("General");
+        c.run = [&c](const Common& common) {
+            SpecimenWords words;
+            words.species = c.files.empty() ? std::vector<std::string>{"beech"} : c.files;
+            words.variants = static_cast<int>(whole_number(c.variants, "--variants", 1000));
+            if (words.variants < 1) throw InvalidParameter("--variants 0: must be 1 to 1000");
+            std::string rest = c.generations;
+            while (!rest.empty()) {
+                const std::size_t comma = std::min(rest.find(','), rest.size());
+                words.generations.push_back(
+                    static_cast<int>(whole_number(rest.substr(0, comma), "--generations", 500)));
+                rest.erase(0, comma + 1);
+            }
+            return command_specimens(words, common);
+        };
     }
     {
         Command& c = add("tufts");

@@ -46,6 +46,15 @@ int command_completions(const std::string& shell);
 /// Writes the models of plants that `render` draws into the folder common.output names.
 int command_tufts(const std::vector<std::string>& species, double growth, const Common& common);
 
+/// Which trees command_specimens() grows.
+struct SpecimenWords {
+    std::vector<std::string> species;  ///< names or .toml files
+    int variants = 4;                  ///< of each, from as many seeds
+    std::vector<int> generations;      ///< height classes: a model at each of these, ascending
+};
+/// Writes models of trees for instancing into the folder common.output names.
+int command_specimens(const SpecimenWords& words, const Common& common);
+
 /// One row of the program's own table of commands.
 struct CommandInfo {
     std::string name, summary;

@@ -22,6 +22,7 @@ const std::vector<CommandInfo>& tool_commands()
         {"explain", "say why a moss does or does not grow at one cell of a surface"},
         {"verify", "compare files with their recorded hashes"},
         {"schema", "describe all stages for programs, or as a reference page"},
+        {"specimens", "grow models of trees in several heights as meshes, for instancing"},
         {"tufts", "write the models of moss plants as meshes, for instancing"},
         {"completions", "print a completion script for bash, zsh or fish"},
     };

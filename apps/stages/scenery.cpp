@@ -75,8 +75,19 @@ void add_square(TriMesh& mesh, Vec3d at, Vec3d up, double half)
     mesh.triangles.push_back({first, first + 2, first + 3});
 }
 
-/// A pointed leaf along the local +y, its upper side +z, a little hollow and drooping to its tip.
-/// @param slender  half of its width by its length
+}  // namespace
+
+std::vector<std::string> scenery_uses()
+{
+    return {"obstacle_sdf",  "water_surface", "leaves",    "surf_area",
+            "tree_skeleton", "trees",         "canopy_lad"};
+}
+
+double leaf_slenderness(const std::string& species, bool needles)
+{
+    return needles ? 0.07 : species == "willow" ? 0.10 : 0.26;
+}
+
 void add_leaf(TriMesh& mesh, Vec3d at, const std::array<float, 4>& orient, double area,
               double slender)
 {
@@ -98,14 +109,6 @@ void add_leaf(TriMesh& mesh, Vec3d at, const std::array<float, 4>& orient, doubl
                   ez * (0.25 * wide * std::abs(c.across) - 0.15 * long_ * c.along * c.along)));
     for (const auto& t : {std::array<std::uint32_t, 3>{0, 1, 5}, {1, 2, 4}, {1, 4, 5}, {2, 3, 4}})
         mesh.triangles.push_back({first + t[0], first + t[1], first + t[2]});
-}
-
-}  // namespace
-
-std::vector<std::string> scenery_uses()
-{
-    return {"obstacle_sdf",  "water_surface", "leaves",    "surf_area",
-            "tree_skeleton", "trees",         "canopy_lad"};
 }
 
 TriMesh obstacle_mesh(const Scene& scene)
@@ -153,9 +156,7 @@ std::vector<Crown> crowns(const Scene& scene, double scale)
         if (orient)
             add_leaf(crown.leaves, leaves.position[i], (*orient)[i],
                      4 * half * half * scale * scale,
-                     crown.needles               ? 0.07
-                     : crown.species == "willow" ? 0.10
-                                                 : 0.26);
+                     leaf_slenderness(crown.species, crown.needles));
         else
             add_square(crown.leaves, leaves.position[i], Vec3d((*n)[i]), half);
     }

@@ -27,6 +27,14 @@ struct Crown {
 /// The same, one mesh for each species.
 /// @param scale  by which pointed leaves are drawn larger
 std::vector<Crown> crowns(const Scene& scene, double scale = 1);
+/// Half width of a kind's leaves by their length.
+double leaf_slenderness(const std::string& species, bool needles);
+/// Adds a pointed leaf, creased and bent back, of four triangles.
+/// @param at      its middle [m]
+/// @param orient  quaternion x y z w: +y along the leaf, +z its upper side
+/// @param area    [m^2]
+void add_leaf(TriMesh& mesh, Vec3d at, const std::array<float, 4>& orient, double area,
+              double slenderness);
 /// `tree_skeleton` as tubes of bark.
 TriMesh bark_mesh(const Scene& scene, const Progress& progress);
 /// `water_surface`: the upper faces of its voxels, at least 1 cm over the ground so that a level
