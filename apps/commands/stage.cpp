@@ -230,7 +230,9 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common,
                 throw InvalidInput(
                     "standard input: the scene is about a mesh, which lies beside its file; give "
                     "the file's name");
-            return picture_of_surface ? with_surface(std::move(scene)) : scene;
+            const bool rock = scene.has("density") || scene.has("surface_sdf");
+            const bool trees = scene.points.contains("tree_skeleton");
+            return picture_of_surface && (rock || !trees) ? with_surface(std::move(scene)) : scene;
         }
         std::string bytes = start;
         char block[1 << 16];

@@ -45,9 +45,11 @@ struct TreeParams {
               "kinds of trees, separated by commas, for one origin after the other: table-1, "
               "beech, oak, zelkova, cherry, willow, pine, azalea, pollard, or .toml files; empty: "
               "table-1, or as the trees of the scene");
-        field("origin", &TreeParams::origin,
-              "where trees stand: x,y,z in metres, several separated by ';'; empty: one at 0,0,0, "
-              "or none besides those of the scene");
+        field(
+            "origin", &TreeParams::origin,
+            "where trees stand: x,y,z in metres, or x,y for a place on top of what is solid there, "
+            "else z = 0; several separated by ';'; empty: one at 0,0,0, or none besides those of "
+            "the scene");
         field("starts", &TreeParams::starts, "", kNotNegative,
               "generation before which the tree at each origin does not grow: trees of several "
               "ages");
@@ -83,7 +85,7 @@ struct TreeParams {
     }
 };
 
-/// Positions in metres out of "0m,0m,0m; 3m,2m,0m".
+/// Positions in metres out of "0m,0m,0m; 3m,2m"; z is NaN where only x and y are given.
 std::vector<Vec3d> places(const std::string& text)
 {
     std::vector<Vec3d> list;
@@ -92,11 +94,12 @@ std::vector<Vec3d> places(const std::string& text)
         const std::vector<std::string> parts = split_names(text.substr(begin, end - begin));
         begin = end + 1;
         if (parts.empty()) continue;
-        if (parts.size() != 3)
+        if (parts.size() != 2 && parts.size() != 3)
             throw InvalidParameter(fmt::format(
-                "tree: origin = {}: expected x,y,z in metres, several separated by ';'", text));
-        Vec3d at;
-        for (int axis = 0; axis < 3; ++axis) {
+                "tree: origin = {}: expected x,y,z or x,y in metres, several separated by ';'",
+                text));
+        Vec3d at(0, 0, NAN);
+        for (int axis = 0; axis < int(parts.size()); ++axis) {
             try {
                 at[axis] = parse_quantity(parts[static_cast<std::size_t>(axis)], "m");
             } catch (const InvalidParameter& error) {
@@ -207,6 +210,24 @@ struct Around {
         return found;
     }
 };
+
+/// Height of the uppermost surface under or over a place, a little above it; 0 where there is none.
+double top_of(const tree::Surroundings& surroundings, Vec3d at)
+{
+    constexpr double kHighest = 1000, kLowest = -1000, kNear = 1e-3;  // [m]
+    at.z = kHighest;
+    if (!surroundings.blocks(at, {0, 0, -1})) return 0;
+    // Farther off than its reach, a distance may be any.
+    double reach = kHighest;
+    for (const auto& obstacle : surroundings.obstacles) reach = std::min(reach, obstacle->reach());
+    while (at.z > kLowest) {
+        double distance = 0;
+        surroundings.nearest(at, distance);
+        if (distance < kNear) return at.z + kNear;
+        at.z -= std::clamp(distance, kNear / 2, std::max(kNear, reach));
+    }
+    return 0;
+}
 
 class TreeStage : public Stage {
 public:
@@ -323,7 +344,11 @@ public:
         override_with(record.params, grove_, given_);
         const double unit = record.params.unit_length;
 
-        const std::vector<Vec3d> origins = places(params_.origin);
+        Around around;
+        surround(around, scene, record.params, context);
+        std::vector<Vec3d> origins = places(params_.origin);
+        for (Vec3d& at : origins)
+            if (std::isnan(at.z)) at.z = top_of(around.surroundings, at);
         std::vector<std::string> names = split_names(params_.species);
         if (names.empty() && (!goes_on || !origins.empty())) names = {"table-1"};
         std::vector<tree::Species> kinds;
@@ -346,8 +371,6 @@ public:
             plants.push_back(plant);
         }
 
-        Around around;
-        surround(around, scene, record.params, context);
         const tree::Surroundings* surroundings =
             around.surroundings.empty() ? nullptr : &around.surroundings;
         tree::Grove grove =

@@ -2,6 +2,7 @@
 
 import json
 import re
+import struct
 import unittest
 
 from support import BAD_INPUT, DATA, DONE, LIMIT, USAGE, CliTest, run
@@ -176,7 +177,7 @@ class BadInput(TreeTest):
                                (["dichotomy, shoot, conifer"], ["--model", "pinus"]),
                                (["beech", "table-1"], ["--species", "beach"]), (["transmission", "sweep"], ["--transmission", "0",
                                                                                                       "--method", "grid"]),
-                               (["origin"], ["--origin", "0,0"]), (["origin", "zebra"], ["--origin", "0,0,zebra"]),
+                               (["origin"], ["--origin", "0"]), (["origin", "zebra"], ["--origin", "0,0,zebra"]),
                                (["origins"], ["--origin", "1,2,3; 1,2,3"]), (["every and sequence"], ["--every", "2", "--sequence", "2"])):
             with self.subTest(options=options):
                 self.refuse(USAGE, words, "tree", *options, "-o", "x.vdb")
@@ -212,6 +213,13 @@ class BadInput(TreeTest):
         self.refuse(BAD_INPUT, ["obstacle"], "tree", "--obstacle", boulder, "--origin", "0,0,0.4", "-o", "x.vdb")
         done = self.succeed("tree", *YOUNG, "--obstacle", boulder, "--origin", "0,0,0.4; 3,0,0", "-o", "x.vdb", "--json")
         self.assertIn("warning", done.err)
+        on_top = self.grow(*YOUNG, "--obstacle", boulder, "--origin", "0,0", out="top.vdb")
+        self.succeed("tree", *YOUNG, "--obstacle", boulder, "--origin", "50,0", "-o", "far.vdb", "-q")
+        self.succeed("tree", *YOUNG, "--origin", "50,0,0", "-o", "plain.vdb", "-q")
+        self.assertSameBytes(self.points("far.vdb", "trees"), self.points("plain.vdb", "trees"))
+        x, y, z = struct.unpack_from("<3d", self.points("top.vdb", "trees").split(b"end_header\n", 1)[1])
+        self.assertTrue(0.5 < z < 0.93, "the boulder's top")
+        self.assertEqual(on_top["status"], "growing")
         for name, text in (("none.vdb", "none.vdb"), (self.write("junk.vdb", b"junk" * 99), "junk.vdb")):
             self.refuse(BAD_INPUT, [text], "tree", "--obstacle", name, "-o", "x.vdb", "--force")
         self.grow(*YOUNG, out="fog.vdb")
