@@ -197,6 +197,10 @@ private:
         return Vec3f(Vec3d(dot(off, ring.right), dot(off, ring.ahead), 0));
     }
 
+    double joint(std::size_t branch) const
+    {
+        return end_radius(branches_, radius_, chains_, branch);
+    }
     std::uint32_t corners(double radius) const
     {
         return static_cast<std::uint32_t>(std::clamp(2 * kPi * radius / params_.edge + 0.5,
@@ -214,7 +218,7 @@ private:
         };
         for (std::size_t k = 0; k < limb.size(); ++k) {
             const std::uint32_t b = limb[k];
-            const double r0 = radius_[b], r1 = end_radius(branches_, radius_, chains_, b);
+            const double r0 = k == 0 ? radius_[b] : joint(limb[k - 1]), r1 = joint(b);
             // Limbs go on where they ended.
             const Vec3d from = (k == 0 ? branches_.start[b] : branches_.end(limb[k - 1])) * unit_;
             const Vec3d to = branches_.end(b) * unit_;
@@ -223,7 +227,7 @@ private:
             double done = 0;
             if (k == 0 && branches_.parent[b] >= 0) {
                 // A side limb begins in the middle of its parent, and thicker than it goes on.
-                const double parent = radius_[chains_.next[std::size_t(branches_.parent[b])]];
+                const double parent = joint(std::size_t(branches_.parent[b]));
                 const double hidden = kHidden * parent * math::cos(kPi / corners(parent));
                 double first = std::min(r0, hidden);
                 if (2 * kPi * r0 > 1.5 * params_.least_sides * params_.edge) {

@@ -59,7 +59,7 @@ double end_radius(const Branches& branches, std::span<const double> radius, cons
                   std::size_t branch)
 {
     const std::uint32_t next = chains.next[branch];
-    if (next != Chains::kNone) return radius[next];
+    if (next != Chains::kNone) return std::sqrt(radius[branch] * radius[next]);
     return branches.is(branch, Branches::kTip) ? radius[branch] / 2 : radius[branch];
 }
 

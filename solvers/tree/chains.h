@@ -29,7 +29,9 @@ struct Chains {
 /// @throws InvalidParameter  unit_length
 Chains chains_of(const Branches& branches, std::span<const double> radius, double unit_length);
 
-/// Radius where a branch ends [m]: that of its chain's next one; tips run out to half.
+/// Radius where a branch ends [m]: the geometric mean of its own and that of its chain's next one,
+/// so that limbs are as thick as their branches in the middle of each, and forks are wider than
+/// either arm. Tips run out to half.
 double end_radius(const Branches& branches, std::span<const double> radius, const Chains& chains,
                   std::size_t branch);
 

@@ -31,9 +31,10 @@ struct BarkParams {
 };
 /// Tubes of bark: one closed, outward, 2-manifold generalised cylinder for each chain of branches
 /// (a parent and its thickest child go on as one), its rings at planes that halve the bends, turned
-/// without twist along it; the bends of thick limbs are rounded between the joints. Rings have as
-/// many corners as their radius asks for, and may have fewer than the ring below. Side limbs begin
-/// on their parent's axis, within it, with a flare; ends are capped. Sharp bends are pinched rather
+/// without twist along it; the bends of thick limbs are rounded between the joints. Where branches
+/// join, a limb has the geometric mean of their radii; tips run out to half. Rings have as many
+/// corners as their radius asks for, and may have fewer than the ring below. Side limbs begin on
+/// their parent's axis, within it, with a flare; ends are capped. Sharp bends are pinched rather
 /// than folded; kinks shorter than 0.7 radii are left out.
 ///
 /// Vertex attributes `normal` (Vec3f), `radius` [m]; face attributes `branch` (index), `tree`, and
@@ -47,9 +48,10 @@ struct BarkParams {
 TriMesh bark_tubes(const Branches& branches, std::span<const double> radius, double unit_length,
                    const BarkParams& params, const Progress& progress);
 
-/// Level set of the wood: tapered capsules, a limb's joined by the minimum, those of limbs that
-/// meet by a smooth one, 0.7 radii of the thinner limb wide. Band of kBandVoxels, negative inside
-/// [m]; voxels count from (0, 0, 0) on, from a place at a multiple of 8 voxels.
+/// Level set of the wood: tapered capsules with the radii of bark_tubes(), a limb's joined by the
+/// minimum, those of limbs that meet by a smooth one, 0.7 radii of the thinner limb wide. Band of
+/// kBandVoxels, negative inside [m]; voxels count from (0, 0, 0) on, from a place at a multiple of
+/// 8 voxels.
 ///
 /// Branches thinner than a voxel are left out, but for trees' first ones: as thick as voxels
 /// they would make a crown of their own. The others have at least half a voxel's diagonal

@@ -104,9 +104,10 @@ FloatGrid wood_level_set(const Branches& branches, std::span<const double> radiu
             }
             const Vec3d from = before == Chains::kNone ? branches.start[b] : branches.end(before);
             auto in_voxels = [&](double r) { return std::max(r / voxel, kUnbroken); };
-            capsules.push_back({from * scale, branches.end(b) * scale, in_voxels(radius[b]),
-                                in_voxels(end_radius(branches, radius, chains, b)),
-                                static_cast<std::uint32_t>(c)});
+            auto joint = [&](std::uint32_t k) { return end_radius(branches, radius, chains, k); };
+            capsules.push_back({from * scale, branches.end(b) * scale,
+                                in_voxels(before == Chains::kNone ? radius[b] : joint(before)),
+                                in_voxels(joint(b)), static_cast<std::uint32_t>(c)});
             before = b;
         }
     }

@@ -352,11 +352,11 @@ TriMesh meshed(const FloatGrid& wood)
 
 TEST(WoodLevelSet, OfATaperedLimbIsItsDistance)
 {
-    // Branch 1 goes on from branch 0 with half its radius.
+    // Branch 1 goes on from branch 0 with half its radius; they join in the geometric mean.
     Limbs limbs;
     limbs.add(-1, {1, 2, 3}, 5, false, {2, 1, -1});
     limbs.add(0, {1, 2, 3}, 2);
-    const double r0 = 0.1, r1 = 0.05, voxel = 0.0125;
+    const double r0 = 0.1, r1 = 0.05, joint = std::sqrt(r0 * r1), voxel = 0.0125;
     const FloatGrid wood = wood_level_set(limbs.branches, std::vector{r0, r1}, kUnit, voxel, {});
     EXPECT_FLOAT_EQ(wood.background(), static_cast<float>(4 * voxel));
     // Brute force: balls along the limb.
@@ -378,9 +378,10 @@ TEST(WoodLevelSet, OfATaperedLimbIsItsDistance)
         double exact = INFINITY;
         for (int s = 0; s <= 1000; ++s) {
             const double f = s / 1000.0;
-            exact =
-                std::min(exact, length(from + (middle - from) * f - centre) - r0 - (r1 - r0) * f);
-            exact = std::min(exact, length(middle + (to - middle) * f - centre) - r1);
+            exact = std::min(exact,
+                             length(from + (middle - from) * f - centre) - r0 - (joint - r0) * f);
+            exact = std::min(
+                exact, length(middle + (to - middle) * f - centre) - joint - (r1 - joint) * f);
         }
         const double found = double(reader.value(c));
         EXPECT_NEAR(found, std::clamp(exact, -4 * voxel, 4 * voxel), 1e-5);
