@@ -1,6 +1,7 @@
 // From branches to wood and leaves, and rays past a rock. Prints: case, threads, seconds of the
 // best round, what came out, hash.
-// Arguments: generations of the table-1 tree, 40 (50: 11 505 branches); a folder to write bark.ply and wood.ply into.
+// Arguments: generations of the table-1 tree, 40 (50: 11 505 branches); a folder to write bark.ply
+// and wood.ply into.
 
 #include <fmt/format.h>
 
