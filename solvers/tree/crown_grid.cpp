@@ -19,6 +19,8 @@ constexpr int kNodes = kEdge + 1;  ///< along it, those of the next one included
 constexpr int kNumbers = kNodes * kNodes * kNodes;
 constexpr int kWords = kEdge * kNodes * kNodes;
 constexpr double kStep = 0.5;  ///< of half-lines [voxels]
+constexpr double kSharp = 24;  ///< voxels of a half-line before those twice as wide
+constexpr int kCoarsest = 4;   ///< times the finest
 constexpr double kDark = 10;   ///< optical depth that ends a half-line
 constexpr double kMostBytes = 4.0 * (1u << 30);
 constexpr int kLanes = 16;
@@ -256,11 +258,12 @@ struct ExtinctionGrid::Bricks {
         });
     }
 
-    /// Optical depth of a half-line; those above `most` are as good as each other.
-    /// @param from  [voxels]
-    double depth(Vec3d from, Vec3d way, double most) const
+    /// Optical depth of the part of a half-line from `begin` to `end`; those above `most` are as
+    /// good as each other.
+    double depth(Vec3d at, Vec3d way, double begin, double end_at, double most) const
     {
-        double enter = 0, leave = INFINITY;
+        const Vec3d from = (at - boxes.lower) / voxel;
+        double enter = begin / voxel, leave = end_at / voxel;
         std::array<double, 3> next{}, every{};
         for (int a = 0; a < 3; ++a) {
             const double end = static_cast<double>(boxes.count[a]) * kEdge;
@@ -290,7 +293,7 @@ struct ExtinctionGrid::Bricks {
         while (true) {
             const int a =
                 next[0] < next[1] ? (next[0] < next[2] ? 0 : 2) : (next[1] < next[2] ? 1 : 2);
-            const double exit = next[static_cast<std::size_t>(a)];
+            const double exit = std::min(next[static_cast<std::size_t>(a)], leave);
             if (const std::int32_t brick = index[boxes.index(box)]; brick >= 0) {
                 const double k = step_at(s), count = step_at(exit) - k;
                 if (count > 0) {
@@ -302,6 +305,7 @@ struct ExtinctionGrid::Bricks {
                     if (++met % 8 == 0 && total(sums) * kStep > most) break;
                 }
             }
+            if (exit == leave) break;
             s = exit;
             box[a] += way[a] > 0 ? 1 : -1;
             if (box[a] < 0 || box[a] >= boxes.count[a]) break;
@@ -388,16 +392,17 @@ ExtinctionGrid::ExtinctionGrid(const SkyPatches& sky, const Balls& balls, double
             fmt::format("tree: method = grid cannot tell radii of {} as far out as {}; method = "
                         "sweep does",
                         smallest, farthest));
-    bounds.lower -= Vec3d(2 * voxel);
-    bounds.upper += Vec3d(2 * voxel);
-    bricks_ = std::make_unique<Bricks>(balls, voxel, bounds, absorbed, progress);
+    bounds.lower -= Vec3d(2 * voxel * kCoarsest);
+    bounds.upper += Vec3d(2 * voxel * kCoarsest);
+    for (double h = voxel; h <= voxel * kCoarsest; h *= 2)
+        bricks_.push_back(std::make_unique<Bricks>(balls, h, bounds, absorbed, progress));
     near_ = std::make_unique<Near>(sky, balls, absorbed, occlusion, bounds, largest);
 }
 ExtinctionGrid::~ExtinctionGrid() = default;
 
 void ExtinctionGrid::shade(Vec3d at, std::uint32_t own, std::span<double> share) const
 {
-    if (!bricks_) {
+    if (bricks_.empty()) {
         std::fill(share.begin(), share.end(), 1.0);
         return;
     }
@@ -405,9 +410,16 @@ void ExtinctionGrid::shade(Vec3d at, std::uint32_t own, std::span<double> share)
     std::vector<double> cut(sky.size());
     std::fill(share.begin(), share.end(), 0.0);
     near_->sum(at, own, cut, share);
-    const Vec3d from = (at - bricks_->boxes.lower) / bricks_->voxel;
-    for (std::size_t p = 0; p < sky.size(); ++p)
-        share[p] += std::max(0.0, bricks_->depth(from, sky.direction[p], kDark + cut[p]) - cut[p]);
+    for (std::size_t p = 0; p < sky.size(); ++p) {
+        double depth = 0, begin = 0;
+        for (const auto& level : bricks_) {
+            const double end = level == bricks_.back() ? INFINITY : kSharp * level->voxel;
+            depth += level->depth(at, sky.direction[p], begin, end, kDark + cut[p] - depth);
+            if (depth > kDark + cut[p]) break;
+            begin = end;
+        }
+        share[p] += std::max(0.0, depth - cut[p]);
+    }
     exponentials(share.data(), share.size());
 }
 

@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <span>
+#include <vector>
 
 #include "core/progress.h"
 #include "solvers/tree/crown_light.h"
@@ -32,7 +33,8 @@ public:
 private:
     struct Bricks;
     struct Near;
-    std::unique_ptr<Bricks> bricks_;
+    std::vector<std::unique_ptr<Bricks>>
+        bricks_;  ///< each of voxels twice as wide; far ones coarse
     std::unique_ptr<Near> near_;
 };
 
