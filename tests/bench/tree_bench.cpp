@@ -1,6 +1,6 @@
-// Light of leaf-balls in crowns. Prints: case, balls, patches, threads, seconds of the best round,
-// balls a second, hits a half-line, hash. Then how much faster sweep is than all pairs, and two
-// threads than one.
+// Light of leaf-balls in crowns. Prints: case, balls, patches, threads, seconds and balls a second
+// of the best round, seconds of processor, hash. Then how much faster sweep is than all pairs, and
+// two threads than one.
 
 #include <fmt/format.h>
 
