@@ -19,11 +19,17 @@ using tree::Species;
 
 constexpr const char* kSettings = "tree";
 
-/// One attribute of a point set; makes it on writing.
+/// One attribute of a point set.
 template <class T>
 const std::vector<T>& column(const Points& points, const char* set, const char* name)
 {
-    if (const auto* values = points.values<T>(name)) return *values;
+    if (const auto* values = points.values<T>(name)) {
+        if constexpr (std::is_floating_point_v<T>)
+            if (!std::all_of(values->begin(), values->end(), [](T v) { return std::isfinite(v); }))
+                throw InvalidInput(
+                    fmt::format("the points '{}': {} is not finite everywhere", set, name));
+        return *values;
+    }
     throw InvalidInput(
         fmt::format("the points '{}' have no attribute '{}' of the kind that `sekitei tree` writes",
                     set, name));
@@ -343,7 +349,7 @@ GroveRecord grove_record(const Scene& scene)
         record.state.seed = settings.at("seed").get<std::uint64_t>();
         record.state.next_root = settings.at("next_root").get<std::uint64_t>();
         record.state.generation = settings.at("generation").get<int>();
-    } catch (const Json::exception& error) {
+    } catch (const std::exception& error) {  // of JSON, or a value out of its range
         throw InvalidInput(
             fmt::format("canopy_lad: the parameters of its trees are damaged: {}", error.what()));
     }
@@ -439,6 +445,18 @@ std::vector<tree::GenerationStatistics> growth_of(const Scene& scene)
         row.weeping = values("weeping")[r];
     }
     return rows;
+}
+
+std::string growth_csv(const std::vector<tree::GenerationStatistics>& rows)
+{
+    std::string text =
+        "generation,tips,births,deaths,obstructed,sprouts,shed,mean_light,lowest,highest,"
+        "rms_radius,weeping\n";
+    for (const tree::GenerationStatistics& r : rows)
+        text += fmt::format("{},{},{},{},{},{},{},{:.6g},{:.6g},{:.6g},{:.6g},{:.6g}\n",
+                            r.generation, r.tips, r.births, r.deaths, r.obstructed, r.sprouts,
+                            r.shed, r.mean_light, r.lowest, r.highest, r.rms_radius, r.weeping);
+    return text;
 }
 
 Skeleton skeleton_of(const Scene& scene)

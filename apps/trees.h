@@ -39,6 +39,8 @@ void put_grove(Scene& scene, const tree::Grove& grove, std::span<const double> r
 /// Rows of `tree_growth`: one for each generation.
 void put_growth(Scene& scene, const std::vector<tree::GenerationStatistics>& rows);
 std::vector<tree::GenerationStatistics> growth_of(const Scene& scene);
+/// The same as comma-separated values; lengths in branch lengths.
+std::string growth_csv(const std::vector<tree::GenerationStatistics>& rows);
 
 /// Wood alone, without what growth needs.
 struct Skeleton {

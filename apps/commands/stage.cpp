@@ -358,8 +358,7 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
     const bool unknown = stage->info().reads_mesh && !inputs.empty() && inputs.front() == "-";
     if (stage->info().reads_mesh && !inputs.empty() && !unknown)
         stage->meets_mesh(is_mesh_name(inputs.front()) || speaks_of_mesh(inputs.front()));
-    if (stage->info().output == OutputKind::Picture && !inputs.empty() &&
-        fs::exists(inputs.front()))
+    if (stage->info().output != OutputKind::Scene && !inputs.empty() && fs::exists(inputs.front()))
         stage->meets_trees(only_trees(inputs.front()));
     stage->validate();
     if (inputs.empty() && stage->reads_scene())

@@ -5,6 +5,7 @@
 #include "apps/habitat.h"
 #include "apps/render/plot.h"
 #include "apps/stages/stages.h"
+#include "apps/trees.h"
 #include "core/error.h"
 
 namespace sekitei::apps {
@@ -14,26 +15,41 @@ class StatisticsStage : public Stage {
 public:
     const StageInfo& info() const override
     {
-        static const StageInfo kInfo{"statistics",
-                                     "1",
-                                     "the numbers of every day of a soil or moss stage as a table",
-                                     OutputKind::Table,
-                                     true,
-                                     {"statistics"},
-                                     {},
-                                     false,
-                                     {"moss"}};
+        static const StageInfo kInfo{
+            "statistics",
+            "1",
+            "the numbers of every day of a soil or moss stage, or of every "
+            "generation of trees, as a table",
+            OutputKind::Table,
+            true,
+            {"statistics"},
+            {},
+            false,
+            {"moss"}};
         return kInfo;
+    }
+    void meets_trees(bool alone) override { trees_ = alone; }
+    std::vector<std::string> needs() override
+    {
+        return trees_ ? std::vector<std::string>{"tree_growth"} : info().needs;
     }
     ParamList params() override { return {}; }
     void validate() override {}
     Need estimate(SceneOutline&, const StageContext&) override { return {0, 1e8, 1e6}; }
     Json run(Scene& scene, const StageContext&) override
     {
+        if (trees_) {
+            const std::vector<tree::GenerationStatistics> rows = growth_of(scene);
+            table = growth_csv(rows);
+            return {{"rows", rows.size()}};
+        }
         const Points& points = scene.points_of("statistics");
         table = statistics_csv(points, species_names(scene));
         return {{"rows", points.position.size()}};
     }
+
+private:
+    bool trees_ = false;
 };
 
 struct PlotChoice {

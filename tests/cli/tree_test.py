@@ -77,6 +77,17 @@ class Growth(TreeTest):
         self.assertSameBytes(self.points("four.vdb", "tree_skeleton"), self.points("s.0004.vdb", "tree_skeleton"))
         self.refuse(USAGE, ["sequence"], "tree", "--generations", "8", "--sequence", "4", "-o", "-")
 
+    def test_numbers_of_every_generation(self):
+        summary = self.grow(*YOUNG)
+        self.succeed("statistics", "t.vdb", "-o", "t.csv", "-q")
+        rows = [line.split(",") for line in (self.folder / "t.csv").read_text().split()]
+        self.assertEqual(rows[0][:4], ["generation", "tips", "births", "deaths"])
+        self.assertEqual(len(rows), 13)
+        self.assertEqual(int(rows[-1][1]), summary["tips"])
+        for before, after in zip(rows[1:], rows[2:]):
+            self.assertEqual(int(after[2]), 2 * int(before[1]), "every tip has two children")
+            self.assertEqual(int(after[1]), int(after[2]) - int(after[3]))
+
     def test_felling_leaves_the_neighbour(self):
         two = self.grow("--origin", "-1.2m,0,0; 1.2m,0,0", *YOUNG, out="two.vdb")
         one = self.grow("--from", "two.vdb", "--remove", "0", "--generations", "0", out="one.vdb")
