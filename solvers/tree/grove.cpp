@@ -12,6 +12,7 @@
 #include "core/math.h"
 #include "core/parallel.h"
 #include "core/random.h"
+#include "solvers/tree/wood.h"
 
 namespace sekitei::tree {
 namespace {
@@ -369,7 +370,7 @@ void Grove::find_boughs()
     std::vector<double> wood;
     for (std::size_t tree = 0; tree < plants_.size(); ++tree) {
         if (!due[tree]) continue;
-        if (wood.empty()) wood = pipes();
+        if (wood.empty()) wood = thickness(b, species_, plants_);
         std::vector<Index> thickest = roots[tree];
         std::ranges::stable_sort(thickest, [&](Index x, Index y) { return wood[x] > wood[y]; });
         const Species& kind = species_[std::size_t(plants_[tree].species)];
@@ -666,21 +667,6 @@ void Grove::cut(const std::vector<std::uint8_t>& gone)
     forget(gone);
 }
 
-/// Wood in units of a tip's: the pipes that pass through each branch.
-std::vector<double> Grove::pipes() const
-{
-    const Branches& b = branches_;
-    std::vector<double> wood(b.size());
-    for (std::size_t i = b.size(); i-- > 0;) {
-        wood[i] += species_of(i).pipe_memory * b.dead_tips[i];
-        if (wood[i] == 0 || b.is(i, Branches::kTip)) wood[i] += 1;
-        // Living wood does not feed dead wood: what that left is in dead_tips already.
-        if (b.parent[i] >= 0 && b.alive(i) == b.alive(std::size_t(b.parent[i])))
-            wood[std::size_t(b.parent[i])] += wood[i];
-    }
-    return wood;
-}
-
 /// Dead wood breaks, thin pieces first; what does not persist goes at once.
 void Grove::weather_dead_wood()
 {
@@ -690,7 +676,8 @@ void Grove::weather_dead_wood()
     for (std::size_t i = 0; i < b.size(); ++i)
         if (!b.alive(i)) (species_of(i).dead_persist > 0 ? hanging : any) = true;
     if (!any && !hanging) return;
-    const std::vector<double> wood = hanging ? pipes() : std::vector<double>();
+    const std::vector<double> radius =
+        hanging ? thickness(b, species_, plants_) : std::vector<double>();
     for (std::size_t i = 0; i < b.size(); ++i) {
         if (b.alive(i)) continue;
         const Species& kind = species_of(i);
@@ -699,7 +686,7 @@ void Grove::weather_dead_wood()
         else if (kind.dead_persist == 0)
             gone[i] = 1;
         else if (b.died[i] < generation_) {
-            const double thick = math::pow(wood[i], 1 / kind.pipe_exponent);  // r / r_ref
+            const double thick = radius[i] / kind.tip_radius;
             gone[i] = uniform_of_key(b.key[i], kBreakOf + std::uint64_t(generation_)) <
                       1 - math::exp(-1 / (kind.dead_persist * thick));
         }

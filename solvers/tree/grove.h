@@ -212,7 +212,6 @@ private:
     std::size_t shed();
     void cut(const std::vector<std::uint8_t>& gone);
     void weather_dead_wood();
-    std::vector<double> pipes() const;
     void forget(const std::vector<std::uint8_t>& gone);
     void survey(GenerationStatistics& statistics) const;
 
