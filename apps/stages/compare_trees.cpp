@@ -136,8 +136,9 @@ void buds(Lines& lines)  // figure 5
 {
     const Form& straight = lines.form("a");
     lines.bound("turn from branch to branch", "a", straight.crookedness(), -kAny, 1e-12);
-    lines.bound("tips that point up", "a", straight.shape.upward, 0.32, 0.62);
-    lines.bound("nearest tips, st.dev. / mean", "a", straight.shape.spacing_cv, 0.32, 0.50);
+    lines.info("tips that point up", "a", straight.shape.upward);
+    lines.ratio("nearest tips, st.dev. / mean, beside c", "a", straight.shape.spacing_cv,
+                lines.form("c").shape.spacing_cv, 1.5, kAny);
     for (const std::string key : {"b", "c"}) {
         const tree::Shape& s = lines.form(key).shape;
         lines.bound("tips that point up", key, s.upward, 1 - 1e-9, kAny);
