@@ -77,7 +77,8 @@ void check_frames(Stage& stage, const Common& common)
     const fs::path file = common.output.front();
     if (file == "-")
         throw InvalidParameter(
-            "a sequence is numbered files beside the result: give a file with -o, not -");
+            "--every and --sequence write numbered files beside the result: give a file with -o, "
+            "not -");
     if (common.force) return;
     const fs::path folder = file.has_parent_path() ? file.parent_path() : ".";
     const std::string stem = file.stem().string() + ".", suffix = file.extension().string();
