@@ -165,18 +165,26 @@ int command_specimens(const SpecimenWords& words, const Common& common)
         if (kinds.back().model == tree::Model::Shoot)
             throw InvalidParameter(fmt::format(
                 "specimens: {} grows shoots from many places: there is no single tree", name));
+        const std::string& called = kinds.back().name;
+        if (called.empty() || called.find_first_of("/\\") != std::string::npos)
+            throw InvalidParameter(fmt::format(
+                "specimens: {}: its name '{}' must be one that files can have", name, called));
         for (std::size_t k = 0; k + 1 < kinds.size(); ++k)
             if (kinds[k].name == kinds.back().name)
                 throw InvalidParameter(fmt::format("specimens: --species {} is given twice", name));
     }
     const fs::path folder = common.output.front();
+    auto keep = [&](const std::string& name) {
+        if (!common.force && fs::exists(folder / name))
+            throw InvalidParameter(
+                fmt::format("{} exists; replace it with --force", (folder / name).string()));
+    };
+    for (const tree::Species& kind : kinds) keep(kind.name + ".json");
     const Progress progress = console_progress("specimens");
     std::vector<File> files;
     for (const tree::Species& kind : kinds)
         for (File& file : specimens(kind, words, common.seed, progress)) {
-            if (!common.force && fs::exists(folder / file.name))
-                throw InvalidParameter(fmt::format("{} exists; replace it with --force",
-                                                   (folder / file.name).string()));
+            keep(file.name);
             files.push_back(std::move(file));
         }
     Json names = Json::array();

@@ -172,19 +172,27 @@ void override_with(P& target, const P& values, const std::set<std::string>& give
 
 /// What stands around, and the grids that it refers to.
 struct Around {
+    double clearance = 0;  ///< that trees keep [m]
+    double reach = 0;      ///< to which distances to meshes are worked out [m]
     std::vector<std::unique_ptr<FloatGrid>> grids;
     tree::Surroundings surroundings;
 
-    void add_level_set(const FloatGrid& grid)
+    /// A band narrower than the clearance does not tell how far its surface is: its triangles take
+    /// its place.
+    void add_level_set(const FloatGrid& grid, const Progress& progress)
     {
-        surroundings.obstacles.push_back(tree::level_set_obstacle(grid));
+        auto obstacle = tree::level_set_obstacle(grid);
+        if (obstacle->reach() >= clearance)
+            surroundings.obstacles.push_back(std::move(obstacle));
+        else
+            add_mesh(marching_tetrahedra(grid, 0, progress), progress);
     }
-    void add_mesh(TriMesh mesh, double reach, const Progress& progress)
+    void add_mesh(TriMesh mesh, const Progress& progress)
     {
         surroundings.obstacles.push_back(tree::mesh_obstacle(std::move(mesh), reach, progress));
     }
     /// The solid that a scene is about; whether there is one.
-    bool add_scene(const Scene& scene, double reach, const Progress& progress)
+    bool add_scene(const Scene& scene, const Progress& progress)
     {
         bool found = false;
         auto keep = [&](const FloatGrid& grid) -> const FloatGrid& {
@@ -192,18 +200,18 @@ struct Around {
         };
         for (const char* name : {"surface_sdf", "obstacle_sdf"})
             if (scene.has(name)) {
-                add_level_set(keep(scene.floats(name)));
+                add_level_set(keep(scene.floats(name)), progress);
                 found = true;
             }
         if (scene.has("surface_sdf")) return true;
         if (const auto rock = scene.meshes.find("rock"); rock != scene.meshes.end()) {
-            add_mesh(rock->second, reach, progress);
+            add_mesh(rock->second, progress);
             return true;
         }
         if (scene.has("density")) {
             TriMesh mesh = marching_tetrahedra(scene.floats("density"), 0.5, progress);
             if (!mesh.triangles.empty()) {
-                add_mesh(std::move(mesh), reach, progress);
+                add_mesh(std::move(mesh), progress);
                 found = true;
             }
         }
@@ -415,8 +423,9 @@ private:
     void surround(Around& around, const Scene& scene, const tree::GroveParams& params,
                   const StageContext& context) const
     {
-        const double reach = 4 * params.unit_length * std::max(1.0, params.clearance);
-        if (params_.scene_obstacles) around.add_scene(scene, reach, context.progress.slice(0, 0));
+        around.clearance = params.unit_length * params.clearance;
+        around.reach = 4 * params.unit_length * std::max(1.0, params.clearance);
+        if (params_.scene_obstacles) around.add_scene(scene, context.progress.slice(0, 0));
         if (!params_.obstacle.empty()) {
             const fs::path file = resolve(context, params_.obstacle);
             try {
@@ -424,9 +433,9 @@ private:
                     MeshReadReport report;
                     TriMesh mesh = read_mesh(file, &report);
                     log_mesh_report(file, report);
-                    around.add_mesh(std::move(mesh), reach, context.progress.slice(0, 0));
+                    around.add_mesh(std::move(mesh), context.progress.slice(0, 0));
                 } else
-                    add_file(around, file, reach, context);
+                    add_file(around, file, context);
             } catch (const InvalidInput& error) {
                 throw named_after(file.string(), error);
             }
@@ -443,8 +452,7 @@ private:
         }
     }
 
-    static void add_file(Around& around, const fs::path& file, double reach,
-                         const StageContext& context)
+    static void add_file(Around& around, const fs::path& file, const StageContext& context)
     {
         ReadOptions options;
         options.keep_foreign = false;
@@ -467,7 +475,7 @@ private:
                 options.if_there.insert(name);
             for (const std::string& name : floats)
                 if (options.if_there.contains(name)) options.only.insert(name);
-            if (around.add_scene(read_vdb(file, options, progress), reach, progress)) return;
+            if (around.add_scene(read_vdb(file, options, progress), progress)) return;
         }
         // A volume of another program: its level set, or the only grid it has.
         const std::vector<std::string>& choice = level_sets.empty() ? floats : level_sets;
@@ -479,7 +487,8 @@ private:
         options.only = {choice.front()};
         const Scene other = read_vdb(file, options, progress);
         around.add_level_set(
-            *around.grids.emplace_back(std::make_unique<FloatGrid>(other.floats(choice.front()))));
+            *around.grids.emplace_back(std::make_unique<FloatGrid>(other.floats(choice.front()))),
+            progress);
     }
 
     void prune(tree::Grove& grove) const

@@ -9,8 +9,10 @@
 #include "apps/stages/scenery.h"
 #include "apps/trees.h"
 #include "core/error.h"
+#include "grids/level_set.h"
 #include "grids/vdb_file.h"
 #include "solvers/tree/wood.h"
+#include "tests/support/shapes.h"
 #include "tests/support/temporary_folder.h"
 
 namespace sekitei::apps {
@@ -230,6 +232,42 @@ TEST(TreeStage, PresetsAreTheFilesOfTheDataFolder)
             << preset.name;
     }
     EXPECT_THAT([] { find_tree("oka", {}); }, ThrowsMessage<InvalidParameter>(HasSubstr("'oak'")));
+}
+
+/// A wall's distance from a place, for walls of x in [1, 1.4].
+double from_wall(Vec3d at)
+{
+    const Vec3d low(1, -2.2, -0.5), high(1.4, 2.2, 4.5);
+    Vec3d out;
+    for (int axis = 0; axis < 3; ++axis)
+        out[axis] = std::max({low[axis] - at[axis], at[axis] - high[axis], 0.0});
+    return length(out);
+}
+
+TEST(TreeStage, TipsKeepClearOfThinBandsToo)
+{
+    // Bands of voxels of 1.5 cm tell 3.4 cm, the clearance is 10 cm.
+    for (const double voxel : {0.015, 0.1}) {
+        Scene scene;
+        const Vec3d lower(0.6, -2.6, -0.9);
+        scene.put(
+            "obstacle_sdf",
+            level_set_from_mesh(shapes::box({1, -2.2, -0.5}, {1.4, 2.2, 4.5}), {lower, voxel}, {}),
+            "m", "lantern", GridClass::LevelSet);
+        const Scene made = grown({{"generations", 30},
+                                  {"clearance", 0.5},
+                                  {"obstacle_albedo", 1.0},
+                                  {"leaves", false},
+                                  {"first_length", 5}},
+                                 4, std::move(scene));
+        const Points& ends = made.points_of("tree_skeleton");
+        std::size_t near = 0;
+        for (const Vec3d& end : ends.position) {
+            EXPECT_GE(from_wall(end), 0.1 - 0.5 * voxel - 1e-3);
+            near += from_wall(end) < 0.35;
+        }
+        EXPECT_GT(near, 0u) << ends.position.size();
+    }
 }
 
 }  // namespace

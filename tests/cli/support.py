@@ -29,7 +29,7 @@ ROCK = ["lava", "cool", "joint", "weather", "mesh"]
 HABITAT = ["lantern", "light", "wind", "soil", "moss"]
 TREES = ["tree", "sketch"]
 STAGES = [*ROCK, *HABITAT, *TREES, "render", "statistics", "plot", "compare", "export"]
-TOOLS = ["run", "check", "info", "replay", "diff", "explain", "verify", "schema", "tufts", "completions"]
+TOOLS = ["run", "check", "info", "replay", "diff", "explain", "verify", "schema", "specimens", "tufts", "completions"]
 # Values of parameters that a stage cannot do without, as in recipes; spring_weather() makes the file.
 REQUIRED = {"light": {"weather": "days.csv"}}
 
