@@ -129,6 +129,17 @@ struct Command {
     std::function<int(const Common&)> run;
 };
 
+/// For commands that write several files.
+void add_folder(Command& c)
+{
+    c.app->add_option("-o,--output", c.common.output, "existing folder to write into")
+        ->type_name("FOLDER")
+        ->required()
+        ->expected(1)
+        ->group("General");
+    c.app->add_flag("--force", c.common.force, "replace existing files")->group("General");
+}
+
 using Commands = std::vector<std::unique_ptr<Command>>;
 
 Command& add_command(CLI::App& program, Commands& commands, const std::string& name,
@@ -289,12 +300,7 @@ void add_tool_commands(CLI::App& program, Commands& commands)
     }
     {
         Command& c = add("specimens");
-        c.app->add_option("-o,--output", c.common.output, "existing folder to write into")
-            ->type_name("FOLDER")
-            ->required()
-            ->expected(1)
-            ->group("General");
-        c.app->add_flag("--force", c.common.force, "replace existing files")->group("General");
+        add_folder(c);
         c.app
             ->add_option("--species", c.files,
                          "kinds of trees: names of presets or .toml files; may be repeated "
@@ -327,12 +333,7 @@ void add_tool_commands(CLI::App& program, Commands& commands)
     }
     {
         Command& c = add("tufts");
-        c.app->add_option("-o,--output", c.common.output, "existing folder to write into")
-            ->type_name("FOLDER")
-            ->required()
-            ->expected(1)
-            ->group("General");
-        c.app->add_flag("--force", c.common.force, "replace existing files")->group("General");
+        add_folder(c);
         c.app
             ->add_option("--species", c.files,
                          "bryum, hypnum, polytrichum, grimmia; any other name: cushions; may be "
