@@ -63,7 +63,7 @@ struct Scenery {
     std::optional<double> photon_size;
     bool trees = true;
     Season season = Season::Auto;
-    double leaf_scale = 1.5;
+    double leaf_scale = 2.2;
 
     static void describe(auto&& field)
     {
