@@ -415,8 +415,10 @@ void check_writes(const std::vector<Draft>& drafts, Errors& errors)
         if (!stage.process->side_files().empty())
             errors.add(draft.source,
                        fmt::format("{}: {} would be written behind the recipe's back; write points "
-                                   "with an `export` stage",
-                                   stage.name, stage.process->side_files().front().string()));
+                                   "with an `export` stage, or make it from the scene by "
+                                   "command: `sekitei {}`",
+                                   stage.name, stage.process->side_files().front().string(),
+                                   stage.process->info().name));
         for (const std::string& name : stage.write) {
             const std::filesystem::path path(name);
             const auto& allowed = extensions_of(*stage.process);

@@ -80,7 +80,12 @@ Json input_hashes(Stage& stage, const StageContext& context)
 
 HistoryEntry history_of(Stage& stage, const StageContext& context)
 {
-    return {stage.info().name, stage.info().version, params_json(stage.params()), context.seed,
+    // What else is written, and where, is no part of how the scene was made.
+    Json params = params_json(stage.params());
+    for (const std::filesystem::path& file : stage.side_files())
+        for (const Param& p : stage.params())
+            if (params[p.name] == Json(file.string())) params[p.name] = "";
+    return {stage.info().name, stage.info().version, std::move(params), context.seed,
             input_hashes(stage, context)};
 }
 

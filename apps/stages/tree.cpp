@@ -237,6 +237,38 @@ double top_of(const tree::Surroundings& surroundings, Vec3d at)
     return 0;
 }
 
+/// Bytes of three grids of leaves at the most: blocks of 8^3 voxels around every ball, or all
+/// blocks of their box where that is less; as much again while they are written.
+double canopy_memory(const tree::Balls& balls, double unit, double voxel)
+{
+    constexpr double kBytesPerBlock = 6 * 512 * sizeof(float);
+    Bounds box;
+    double blocks = 0;
+    for (std::size_t i = 0; i < balls.size(); ++i) {
+        const Vec3d r(balls.radius[i]);
+        box.add(balls.centre[i] - r);
+        box.add(balls.centre[i] + r);
+        const double across = 2 * balls.radius[i] * unit / (8 * voxel) + 2;
+        blocks += across * across * across;
+    }
+    if (balls.size() == 0) return 0;
+    const Vec3d size = box.size() * (unit / (8 * voxel)) + Vec3d(2);
+    return kBytesPerBlock * std::min(blocks, size.x * size.y * size.z);
+}
+
+/// A mesh file without a face: what scripts find where a tree died out.
+std::string empty_mesh(const std::string& suffix)
+{
+    if (suffix == ".obj") return "# no faces\n";
+    if (suffix == ".off") return "OFF\n0 0 0\n";
+    if (suffix == ".stl") return std::string(84, '\0');
+    if (suffix == ".ply")
+        return "ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nproperty float y\n"
+               "property float z\nelement face 0\nproperty list uchar int vertex_indices\n"
+               "end_header\n";
+    throw InvalidInput(fmt::format("tree: no tree is left, and {} files cannot be empty", suffix));
+}
+
 class TreeStage : public Stage {
 public:
     const StageInfo& info() const override
@@ -389,8 +421,12 @@ public:
             for (const int id : numbers(params_.remove)) grove.remove_tree(id);
             prune(grove);
             for (const tree::Plant& plant : plants) grove.add_plant(plant);
-        } else if (!params_.remove.empty() || params_.prune_above || params_.prune_generation)
-            log::warning("tree: remove and prune have no effect without trees to go on from");
+        } else if (!params_.remove.empty())
+            throw InvalidParameter(fmt::format(
+                "tree: remove = {}: there are no trees yet; go on from some with --from FILE",
+                params_.remove));
+        else if (params_.prune_above || params_.prune_generation)
+            log::warning("tree: pruning has no effect without trees to go on from");
 
         std::vector<tree::GenerationStatistics> growth = growth_of(scene);
         const int before = grove.generation(), every = frame_interval();
@@ -521,8 +557,10 @@ private:
         }
         double least = INFINITY;
         for (const tree::Species& s : grove.species()) least = std::min(least, s.ball_radius);
-        tree::Canopy canopy = tree::canopy(
-            leafy, params_.voxel.value_or(least * params.unit_length / 2), progress.slice(0, 0.4));
+        const double voxel = params_.voxel.value_or(least * params.unit_length / 2);
+        check_memory("tree", canopy_memory(leafy.balls(), params.unit_length, voxel),
+                     context.memory_limit, fmt::format("make voxel = {:.3g} m larger", voxel));
+        tree::Canopy canopy = tree::canopy(leafy, voxel, progress.slice(0, 0.4));
         scene.put("canopy_lad", std::move(canopy.leaf_area_density), "1/m", "tree",
                   GridClass::FogVolume);
         scene.put("canopy_RU", std::move(canopy.drag), "1/m", "tree", GridClass::FogVolume);
@@ -554,9 +592,10 @@ private:
             const TriMesh bark = tree::bark_tubes(grove.branches(), radius, params.unit_length, {},
                                                   progress.slice(0.8, 1));
             const fs::path file = resolve(context, params_.mesh);
-            if (bark.triangles.empty())
-                log::warning("{}: not written, no tree is left", file.string());
-            else
+            if (bark.triangles.empty()) {
+                log::warning("{}: empty, no tree is left", file.string());
+                write_file(file, empty_mesh(file.extension().string()));
+            } else
                 write_mesh(file, bark, progress.slice(1, 1));
         }
     }

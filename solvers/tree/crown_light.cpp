@@ -647,7 +647,9 @@ CrownLight crown_light(const SkyPatches& sky, const Balls& balls, const Lookers&
         grid = std::make_unique<ExtinctionGrid>(sky, balls, params.transmission, params.occlusion,
                                                 progress);
         hits.looker = near_order(lookers.at);
-    } else
+    } else if (params.transmission == 1)
+        hits.looker = near_order(lookers.at);  // nobody shades anybody
+    else
         hits = all_hits(sky, balls, lookers, params.occlusion, params.method, progress);
     const std::vector<double> power = powers(params.transmission, balls.size());
     std::vector<double> weights;
@@ -663,6 +665,8 @@ CrownLight crown_light(const SkyPatches& sky, const Balls& balls, const Lookers&
                 const std::size_t i = hits.looker[k];
                 if (grid)
                     grid->shade(lookers.at[i], lookers.own[i], light);
+                else if (params.transmission == 1)
+                    std::ranges::fill(light, 1.0);
                 else
                     for (std::size_t p = 0; p < patches; ++p)
                         light[p] =

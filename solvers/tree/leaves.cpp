@@ -221,9 +221,11 @@ Canopy canopy(const Grove& grove, double voxel, const Progress& progress)
                 high[k] = static_cast<std::int32_t>(std::ceil(at[k] + extents[i].radius));
             }
             double sum = 0;
-            for (std::int32_t x = low.x; x < high.x; ++x)
+            for (std::int32_t x = low.x; x < high.x; ++x) {
+                progress.check();
                 for (std::int32_t y = low.y; y < high.y; ++y)
                     for (std::int32_t z = low.z; z < high.z; ++z) sum += cover(i, Coord(x, y, z));
+            }
             density[i] = foliage.area[i] / (sum * voxel * voxel * voxel);
         },
         16);

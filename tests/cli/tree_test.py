@@ -205,6 +205,27 @@ class BadInput(TreeTest):
         again = self.grow("--from", "dead.vdb", "--generations", "3")
         self.assertEqual(again["status"], "extinct")
 
+    def test_side_files_leave_no_trace_in_the_scene(self):
+        self.grow(*YOUNG, out="plain.vdb")
+        self.grow(*YOUNG, "--mesh", self.folder / "bark.ply", "--skeleton", "s.json", out="more.vdb")
+        self.assertSameBytes(self.folder / "plain.vdb", self.folder / "more.vdb")
+
+    def test_a_dead_tree_has_empty_files(self):
+        for name in ("bark.ply", "bark.obj", "bark.stl", "bark.off"):
+            self.grow("--death-threshold", "5", "--mesh", name, "--skeleton", "s.ply")
+            self.assertTrue((self.folder / name).exists(), name)
+
+    def test_voxels_that_do_not_fit_are_refused_at_once(self):
+        self.refuse(LIMIT, ["--memory", "voxel"], "tree", *YOUNG, "--voxel", "1mm", "--memory", "1G", "-o", "x.vdb")
+
+    def test_leaves_that_let_all_light_pass_cost_nothing(self):
+        done = self.run_in_folder("tree", "--transmission", "1", "--max-tips", "30000", "--no-leaves", "-o", "x.vdb")
+        self.assertEqual(done.code, LIMIT, done)
+        self.assertLess(done.seconds, 8)
+
+    def test_felling_needs_trees(self):
+        self.refuse(USAGE, ["remove", "--from"], "tree", *YOUNG, "--remove", "1", "-o", "x.vdb")
+
     def test_a_limit_keeps_the_last_whole_generation(self):
         done = self.run_in_folder("tree", "--max-tips", "20", "-o", "x.vdb", "-q", "--json")
         self.assertEqual(done.code, LIMIT, done)
