@@ -78,10 +78,12 @@ struct TreeParams {
         field("wood", &TreeParams::wood, "the wood as a level set, tree_sdf");
         field("wood_voxel", &TreeParams::wood_voxel, "m", between(1e-4, 10),
               "with wood: edge of its voxels");
-        field("mesh", &TreeParams::mesh, "file for the bark as tubes of triangles; empty: none");
-        field("skeleton", &TreeParams::skeleton,
-              "file for branches as vertices and edges: .ply, .json or .obj (polylines); empty: "
-              "none");
+        field("mesh", &TreeParams::mesh,
+              "by command, not in recipes: file for the bark as tubes of triangles; empty: none");
+        field(
+            "skeleton", &TreeParams::skeleton,
+            "the same for branches as vertices and edges: .ply, .json or .obj (polylines); empty: "
+            "none");
     }
 };
 

@@ -147,7 +147,7 @@ public:
             16);
         mesh.vertex_attributes["normal"] = std::move(normal);
         mesh.vertex_attributes["radius"] = std::move(radius);
-        mesh.face_attributes["branch"] = std::move(branch);
+        mesh.face_attributes["branch_id"] = std::move(branch);
         mesh.face_attributes["tree"] = std::move(tree);
         for (std::size_t k = 0; k < 3; ++k)
             mesh.face_attributes["uv_" + std::to_string(k)] = std::move(uv[k]);

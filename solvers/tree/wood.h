@@ -37,9 +37,9 @@ struct BarkParams {
 /// their parent's axis, within it, with a flare; ends are capped. Sharp bends are pinched rather
 /// than folded; kinks shorter than 0.7 radii are left out.
 ///
-/// Vertex attributes `normal` (Vec3f), `radius` [m]; face attributes `branch` (index), `tree`, and
-/// `uv_0`, `uv_1`, `uv_2` (Vec3f: metres around, metres along, 0) of the three corners, with the
-/// seam at half a turn from 0: OBJ and PLY take them as texture coordinates (core/mesh_io.h).
+/// Vertex attributes `normal` (Vec3f), `radius` [m]; face attributes `branch_id` (index), `tree`,
+/// and `uv_0`, `uv_1`, `uv_2` (Vec3f: metres around, metres along, 0) of the three corners, with
+/// the seam at half a turn from 0: OBJ and PLY take them as texture coordinates (core/mesh_io.h).
 /// @param radius  of each branch [m], as of thickness()
 /// @throws InvalidInput      another number of radii, what is not finite or not above 0
 /// @throws InvalidParameter  params, unit_length
