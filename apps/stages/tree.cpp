@@ -436,6 +436,9 @@ public:
         const tree::Status status =
             grove.grow(params_.generations, growing, [&](const tree::GenerationStatistics& row) {
                 growth.push_back(row);
+                // Files are the same every time, so that seconds are only told.
+                log::detail("tree: generation {}: {} tips, light {:.3f} s, all else {:.3f} s",
+                            row.generation, row.tips, row.seconds_light, row.seconds_rest);
                 if (every == 0 || !context.frame) return;
                 const int done = grove.generation() - before;
                 if (done % every != 0 && done != params_.generations) return;
