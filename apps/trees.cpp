@@ -145,73 +145,57 @@ T from_json(const Json& json)
 
 const std::vector<Species>& preset_trees()
 {
-    static const std::vector<Species> presets = [] {
-        std::vector<Species> list;
-        auto add = [&](const char* name, auto&& change) {
-            Species s;
-            s.name = name;
-            change(s);
-            list.push_back(s);
-        };
-        add("table-1", [](Species&) {});
-        add("beech", [](Species& s) {
-            s.tropism = 0.3;
-            s.branch_angle = 12;
-            s.first_length = 12;
-            s.vertical_azimuth = tree::Azimuth::Random;
-            s.leaf_size = 0.07;
-            s.leaf_orientation = tree::LeafOrientation::Planophile;
-        });
-        add("oak", [](Species& s) {
-            s.tropism = 0.4;
-            s.branch_angle = 16;
-            s.first_length = 7;
-            s.death_threshold = 0.58;
-            s.vertical_azimuth = tree::Azimuth::Random;
-            s.tip_radius = 0.002;
-            s.leaf_size = 0.1;
-        });
-        add("zelkova", [](Species& s) {
-            s.tropism = 0.15;
-            s.branch_angle = 8;
-            s.first_length = 10;
-            s.vertical_azimuth = tree::Azimuth::Random;
-            s.leaf_size = 0.06;
-        });
-        add("cherry", [](Species& s) {
-            s.tropism = 0.5;
-            s.branch_angle = 15;
-            s.first_length = 6;
-            s.vertical_azimuth = tree::Azimuth::Random;
-            s.leaf_size = 0.06;
-            s.leaf_projection = 0.4;
-        });
-        add("willow", [](Species& s) {
-            s.tropism = 0.8;
-            s.branch_angle = 10;
-            s.first_length = 14;
-            s.vertical_azimuth = tree::Azimuth::Random;
-            s.leaf_size = 0.08;
-        });
-        add("pine", [](Species& s) {
-            s.model = tree::Model::Conifer;
-            s.tropism = 0.1;
-            s.ball_radius = 1;
-            s.death_threshold = 0.45;
-            s.first_length = 1;
-            s.leaf_size = 0.06;
-        });
-        add("azalea", [](Species& s) {
-            s.tropism = 0.4;
-            s.death_threshold = 0.5;
-            s.first_length = 1;
-            s.branch_angle = 20;
-            s.vertical_azimuth = tree::Azimuth::Random;
-            s.leaf_size = 0.04;
-        });
-        add("pollard", [](Species& s) { s.latent_share = 1; });
-        return list;
-    }();
+    static const std::vector<tree::Species> presets{
+        {.name = "table-1"},
+        {.name = "beech",
+         .tropism = 0.3,
+         .branch_angle = 12,
+         .first_length = 12,
+         .vertical_azimuth = tree::Azimuth::Random,
+         .leaf_size = 0.07,
+         .leaf_orientation = tree::LeafOrientation::Planophile},
+        {.name = "oak",
+         .tropism = 0.4,
+         .death_threshold = 0.58,
+         .branch_angle = 16,
+         .first_length = 7,
+         .vertical_azimuth = tree::Azimuth::Random,
+         .tip_radius = 0.002,
+         .leaf_size = 0.1},
+        {.name = "zelkova",
+         .tropism = 0.15,
+         .branch_angle = 8,
+         .first_length = 10,
+         .vertical_azimuth = tree::Azimuth::Random,
+         .leaf_size = 0.06},
+        {.name = "cherry",
+         .tropism = 0.5,
+         .branch_angle = 15,
+         .first_length = 6,
+         .vertical_azimuth = tree::Azimuth::Random,
+         .leaf_projection = 0.4,
+         .leaf_size = 0.06},
+        {.name = "willow",
+         .tropism = 0.8,
+         .branch_angle = 10,
+         .first_length = 14,
+         .vertical_azimuth = tree::Azimuth::Random,
+         .leaf_size = 0.08},
+        {.name = "pine",
+         .model = tree::Model::Conifer,
+         .tropism = 0.1,
+         .ball_radius = 1,
+         .death_threshold = 0.45,
+         .first_length = 1,
+         .leaf_size = 0.06},
+        {.name = "azalea",
+         .tropism = 0.4,
+         .death_threshold = 0.5,
+         .branch_angle = 20,
+         .first_length = 1,
+         .vertical_azimuth = tree::Azimuth::Random,
+         .leaf_size = 0.04},
+        {.name = "pollard", .latent_share = 1}};
     return presets;
 }
 

@@ -404,15 +404,21 @@ void shading_rule(const Seeds& seeds)
     }
 }
 
+Species spruce()
+{
+    Species species;
+    species.model = Model::Conifer;
+    species.ball_radius = 1;
+    species.death_threshold = 0.45;
+    species.tropism = 0.1;
+    species.first_length = 1;
+    return species;
+}
+
 void conifer(const Seeds& seeds)
 {
-    Species spruce;
-    spruce.model = Model::Conifer;
-    spruce.ball_radius = 1;
-    spruce.death_threshold = 0.45;
-    spruce.tropism = 0.1;
-    spruce.first_length = 1;
-    Species shedding = spruce;
+    const Species plain = spruce();
+    Species shedding = plain;
     shedding.active_period = 12;
     shedding.strong_boughs = 0;
     // Height at which the lowest bough leaves the trunk.
@@ -424,7 +430,7 @@ void conifer(const Seeds& seeds)
         return z;
     };
     for (const std::uint64_t seed : seeds) {
-        Grove whole = one_tree(seed, spruce), shed = one_tree(seed, shedding);
+        Grove whole = one_tree(seed, plain), shed = one_tree(seed, shedding);
         whole.grow(30);
         shed.grow(30);
         const double line = profile_r2(whole, 0.6);

@@ -3,10 +3,15 @@
 #include <cstdint>
 #include <vector>
 
+#include "solvers/tree/species.h"
+
 /// The scenes of the paper's figures, and some of our own, grown and measured for each seed. What
 /// must hold of them is asserted; what was found is printed. Table 1 of the paper and no ground
 /// unless a scene says otherwise.
 namespace sekitei::tree::scenes {
+
+/// The conifer of S10.
+Species spruce();
 
 using Seeds = std::vector<std::uint64_t>;
 

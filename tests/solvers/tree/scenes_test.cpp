@@ -79,12 +79,7 @@ Grove mixed()
     fork.dead_persist = 3;
     fork.leaf_retention = 2;
     fork.vertical_azimuth = Azimuth::Random;
-    Species spruce;
-    spruce.model = Model::Conifer;
-    spruce.ball_radius = 1;
-    spruce.death_threshold = 0.45;
-    spruce.tropism = 0.1;
-    spruce.first_length = 1;
+    Species spruce = scenes::spruce();
     spruce.active_period = 6;
     spruce.strong_boughs = 2;
     spruce.latent_share = 1;
