@@ -25,6 +25,12 @@ constexpr std::array<std::string_view, 2> choice_names(Combine)
 struct Factor {
     std::string name;
     Raster<float> value;
+    float constant = 0;  ///< everywhere, where `value` is empty
+
+    double at(int i, int j) const
+    {
+        return value.empty() ? double(constant) : double(value.at(i, j));
+    }
 };
 
 /// 1 between best_from and best_to, falling in a line to 0 at stands_below and stands_above, 0 from
@@ -47,7 +53,9 @@ public:
     double height_at(double x, double y) const;
     /// By central differences, one-sided at borders [rad].
     double slope(int i, int j) const;
-    /// Adds the factor `temperature` = at_sea - lapse * (height - base) [C] (0.0065 C/m as usual).
+    bool has_factor(const std::string& name) const;
+    /// Adds the factor `temperature` = at_base - lapse * (height - base) [C] (0.0065 C/m as usual).
+    /// A map of that name that is there already stays; so does one of `slope`.
     void add_temperature(double at_base, double base, double lapse = 0.0065);
     /// Adds the factor `slope` [deg].
     void add_slope();
@@ -55,12 +63,17 @@ public:
     /// Index of each species' limits in `factors`.
     /// @throws InvalidParameter  a species has limits of a factor that is not there
     void bind(const std::vector<Species>& species);
-    /// Whether a seedling of this species (0-based) may stand there; bind() first.
+    /// Whether a seedling of this species (0-based) may stand there; bind() first. It may not where
+    /// the ground is too steep or not plantable, where a rock is 1 m high or more, and where it
+    /// would die.
     bool admits(int species, int i, int j) const;
     /// f_env in 0..1; below 0 where the species dies.
     double vigour(int species, int i, int j) const;
 
 private:
+    template <class F>
+    void add_factor(const std::string& name, F&& value_at);
+
     struct Need {
         std::size_t factor;
         Limits limits;

@@ -43,7 +43,7 @@ struct Species {
     int max_age = 0;
     std::string tree = "beech";
     std::string colour = "#008000";
-    std::vector<Limits> limits;
+    std::vector<Limits> limits{};
 
     static void describe(auto&& field)
     {
