@@ -98,10 +98,19 @@ void apply(const Edit& edit, std::vector<DensityMap>& maps, double pixel)
         throw InvalidInput(
             fmt::format("edit of step {}: multiply = {}, must be >= 0", edit.step, edit.value));
     const std::uint16_t value = set ? density_value(edit.value) : std::uint16_t(0);
+    auto product = [&](std::uint16_t v) {
+        return static_cast<std::uint16_t>(
+            std::min(65535.0, std::floor(double(v) * edit.value + 0.5)));
+    };
 
-    // Whole maps need no look at their pixels.
-    if (edit.region.kind == Region::Kind::Everywhere && (image || set)) {
-        map = image ? edit.image : DensityMap(map.width(), map.depth(), value);
+    // Whole maps keep their blocks of one value.
+    if (edit.region.kind == Region::Kind::Everywhere) {
+        if (image)
+            map = edit.image;
+        else if (set)
+            map = {map.width(), map.depth(), value};
+        else
+            map.transform(product);
         return;
     }
     const Box box = box_of(edit.region);
@@ -110,14 +119,7 @@ void apply(const Edit& edit, std::vector<DensityMap>& maps, double pixel)
     for (int j = j0; j < j1; ++j)
         for (int i = i0; i < i1; ++i) {
             if (!edit.region.contains((i + 0.5) * pixel, (j + 0.5) * pixel)) continue;
-            if (image)
-                map.set(i, j, edit.image.at(i, j));
-            else if (set)
-                map.set(i, j, value);
-            else
-                map.set(i, j,
-                        static_cast<std::uint16_t>(std::min(
-                            65535.0, std::floor(double(map.at(i, j)) * edit.value + 0.5))));
+            map.set(i, j, image ? edit.image.at(i, j) : set ? value : product(map.at(i, j)));
         }
     map.compress();
 }

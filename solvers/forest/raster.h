@@ -40,16 +40,44 @@ public:
         }
         block.values[inside(i, j)] = value;
     }
+    /// Puts f(value) in place of every value.
+    template <class F>
+    void transform(F&& f)
+    {
+        for (Block& block : blocks_) {
+            block.constant = f(block.constant);
+            for (T& value : block.values) value = f(value);
+        }
+    }
     /// Drops the values of blocks that have only one.
     void compress()
     {
-        for (Block& block : blocks_)
-            if (!block.values.empty() &&
-                std::all_of(block.values.begin(), block.values.end(),
-                            [&](const T& v) { return v == block.values.front(); })) {
-                block.constant = block.values.front();
+        for (std::size_t k = 0; k < blocks_.size(); ++k) {
+            Block& block = blocks_[k];
+            if (block.values.empty()) continue;
+            // Blocks at the borders reach beyond them.
+            const auto row = static_cast<int>(k) / across_, column = static_cast<int>(k) % across_;
+            const auto wide = std::min(kEdge, width_ - column * kEdge);
+            const auto deep = std::min(kEdge, depth_ - row * kEdge);
+            const T first = block.values.front();
+            bool same = true;
+            for (int j = 0; j < deep && same; ++j) {
+                const auto begin = block.values.begin() + j * kEdge;
+                same = std::all_of(begin, begin + wide, [&](const T& v) { return v == first; });
+            }
+            if (same) {
+                block.constant = first;
                 block.values = {};
             }
+        }
+    }
+    friend bool operator==(const Raster& a, const Raster& b)
+    {
+        if (a.width_ != b.width_ || a.depth_ != b.depth_) return false;
+        for (int j = 0; j < a.depth_; ++j)
+            for (int i = 0; i < a.width_; ++i)
+                if (a.at(i, j) != b.at(i, j)) return false;
+        return true;
     }
     /// Whether all of [i0, i1) x [j0, j1) lies in blocks of one value, the same; then `value` is
     /// it.

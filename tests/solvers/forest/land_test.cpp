@@ -160,8 +160,12 @@ TEST(Land, KillsStopsAndFeedsAlongAGradientOfWater)
         const double e = land.factors[0].at(i, 3), f = land.vigour(0, i, 3);
         EXPECT_EQ(f < 0, e < 0.2 || e > 0.8) << e;
         EXPECT_EQ(land.admits(0, i, 3), e >= 0.2 && e <= 0.8) << e;
-        if (e >= 0.2 && e <= 0.3) EXPECT_EQ(f, 0) << e;
-        if (e >= 0.4 && e <= 0.6) EXPECT_EQ(f, 1) << e;
+        if (e >= 0.2 && e <= 0.3) {
+            EXPECT_EQ(f, 0) << e;
+        }
+        if (e >= 0.4 && e <= 0.6) {
+            EXPECT_EQ(f, 1) << e;
+        }
         EXPECT_EQ(land.vigour(1, i, 3), 1);
     }
 }
@@ -214,7 +218,9 @@ TEST(Land, NoneStandsOnACliffOfSixtyDegrees)
     land.bind({{}});
     for (int i = 0; i < kWidth; ++i) {
         const bool cliff = i >= 20 && i < 30, edge = i == 19 || i == 20 || i == 29 || i == 30;
-        if (!edge) EXPECT_EQ(land.admits(0, i, 4), !cliff) << i;
+        if (!edge) {
+            EXPECT_EQ(land.admits(0, i, 4), !cliff) << i;
+        }
     }
 }
 
