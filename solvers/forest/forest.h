@@ -117,6 +117,7 @@ struct Tree {
     std::uint32_t cone = 0;    ///< Vmax: pixels of its own cone within the domain
     std::uint16_t age = 0;     ///< steps
     std::uint8_t species = 0;  ///< from 0
+    std::uint8_t spare = 0;    ///< so that files have no byte without a value
 
     /// R of the step before; 0 before the first.
     double share() const { return cone == 0 ? 0 : double(kept) / (65535.0 * double(cone)); }
@@ -192,6 +193,17 @@ void validate(const Setup& setup);
 
 enum class Status { Growing, Extinct, Limit };
 
+/// Where the trees of a forest too large for memory wait between their turns: one block of bytes
+/// for each row of tiles. The caller keeps files.
+class RowStore {
+public:
+    virtual ~RowStore() = default;
+    virtual std::string load(int step, int row) = 0;
+    virtual void save(int step, int row, const std::string& bytes) = 0;
+    /// All rows of a step are saved: those of earlier steps are not needed any more.
+    virtual void complete(int step) = 0;
+};
+
 /// Calls f(tree, i, j, slices) with the slices (bit k - 1 for slice k) that a tree keeps in pixel
 /// (i, j), for one tile, trees from large to small.
 using OwnedVisitor = std::function<void(const Tree& tree, int i, int j, std::uint64_t slices)>;
@@ -200,55 +212,93 @@ class Forest {
 public:
     /// @throws InvalidParameter, InvalidInput
     explicit Forest(Setup setup);
+    /// One that keeps only a few rows of tiles in memory, see RowStore; `setup.params.border` must
+    /// be Clip. `store` must outlive it.
+    Forest(Setup setup, RowStore& store);
+    ~Forest();
+    Forest(const Forest&) = delete;
+    Forest& operator=(const Forest&) = delete;
 
-    /// Sows `counts[s]` trees of species s by [spec of initial trees]: anywhere, 1 m to
-    /// min(3, Hmax) high. What may not stand there is left out; returns how many.
+    /// Sows `counts[s]` trees of species s: anywhere, 1 m to min(3, Hmax) high, before the first
+    /// step.
+    /// @return  how many found no place where they may stand and were left out
     std::uint64_t sow(const std::vector<std::uint64_t>& counts);
-    /// Adds trees of a list.
+    /// Adds trees of a list, before the first step.
     /// @return  number outside the domain, which are left out
     /// @throws InvalidInput  height <= 0 or not finite, unknown species, a uid that is there
     /// already
     std::uint64_t plant(std::span<const NewTree> trees);
-    /// Trees as they are, to go on from a step.
+    /// Trees as they were after a step, to go on from there.
+    /// @throws InvalidInput  a tree outside the domain, of no species or of no height
     void resume(int step, std::vector<Tree> trees);
+    /// The same for trees that the store keeps.
+    void resume(int step);
 
-    /// The number of steps done.
-    int step() const { return step_; }
-    /// One step; see the file comment. Edits of this step act first.
+    int step() const { return step_; }  ///< number of steps done
+    /// One step: edits; order; space; shares; deaths; growth; ages; seeds. All but the edits and
+    /// the heights of those that sow read the state before the step.
+    /// @throws Cancelled     from `progress`, between tiles; the forest is then of no use any more
+    /// @throws InvalidInput  an edit plants a uid that is there already
     StepStatistics advance(const Progress& progress = {});
-    /// Adds edits, e.g. of maps painted meanwhile.
+    /// Adds an edit, e.g. of a map painted meanwhile; those of steps done change nothing.
     void add_edit(Edit edit);
 
-    std::uint64_t size() const;
+    std::uint64_t size() const { return size_; }
     const Setup& setup() const { return setup_; }
-    const std::vector<DensityMap>& density() const { return density_; }
-    const std::vector<Fallen>& fallen() const { return fallen_; }  ///< of all steps
+    double slope(int species) const { return slope_[std::size_t(species)]; }  ///< r / z
+    const std::vector<DensityMap>& density() const { return density_; }       ///< now
+    const std::vector<Fallen>& fallen() const
+    {
+        return fallen_;
+    }  ///< of all steps, by step and uid
 
-    /// All trees by pixel row, pixel column and uid: an order that no tile size changes.
+    /// Calls f with all trees, strip after strip northwards, by pixel row, pixel column and uid: an
+    /// order that no size of tiles changes.
+    void visit(const std::function<void(std::span<const Tree>)>& f) const;
     std::vector<Tree> trees() const;
     /// All trees, the biggest first: place in it + 1 is the rank.
     std::vector<Tree> ranked() const;
 
-    /// @name Space that trees keep now, by the present heights
+    /// @name Space that trees keep, by their present heights. Not with a store.
     int tiles() const { return tiles_x_ * tiles_y_; }
-    void visit_owned(int tile, const OwnedVisitor& f) const;
     /// The pixels [i0, i1) x [j0, j1) of a tile.
     std::array<int, 4> tile_bounds(int tile) const;
+    /// From any number of threads, one a tile. `tree` lives as long as the forest does not change.
+    void visit_owned(int tile, const OwnedVisitor& f) const;
     /// Pixels of a tree's own cone within the domain, by slice (index k - 1).
     std::vector<std::uint32_t> footprint(const Tree& tree) const;
-    /// Rank (from 1) that owns each pixel of each slice, 0 where nobody: [slice][j][i]. For small
-    /// forests.
+    /// Rank that owns each pixel of each slice, 0 where nobody: [slice][j][i]. For small forests.
     std::vector<std::uint32_t> occupancy(Method method) const;
 
-    std::size_t memory_bytes() const;
+    std::size_t memory_bytes() const;  ///< of trees and maps
 
 private:
-    friend class TileWorker;
+    struct Work;
+    void make(RowStore* store);
+    int tile_of(double x, double y) const;
+    int pixel_of(double at, int count) const;
+    void add(const Tree& tree);
+    void begin_step(Work& work);
+    void edit_tiles(Work& work, int first, int last);
+    std::vector<struct Claim> claims_of(int tile) const;
+    void draw_tile(const struct Canvas& canvas, int tile);
+    void draw_all_painted(const struct Canvas& canvas);
+    void grow_tile(Work& work, int tile);
+    void settle(Work& work, int tile);
+    void advance_in_memory(Work& work, const Progress& progress);
+    void advance_by_rows(Work& work, const Progress& progress);
+    void load_row(int step, int row);
+    void save_row(int step, int row);
+
     Setup setup_;
+    RowStore* store_ = nullptr;
     std::vector<DensityMap> density_;
     std::vector<double> slope_;  // r / z by species
     int step_ = 0;
+    std::uint64_t size_ = 0;
     int nx_ = 0, ny_ = 0, tiles_x_ = 0, tiles_y_ = 0;
+    int halo_ = 1;       // tiles that a crown may reach beyond its own
+    int seed_halo_ = 1;  // the same of seeds
     std::vector<std::vector<Tree>> tile_;
     std::vector<Fallen> fallen_;
 };
