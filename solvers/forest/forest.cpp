@@ -75,11 +75,11 @@ struct Forest::Work {
     double seconds_draw = 0, seconds_grow = 0;
 };
 
-int Setup::pixels_x() const
+int Inputs::pixels_x() const
 {
     return whole_pixels(width, params.pixel);
 }
-int Setup::pixels_y() const
+int Inputs::pixels_y() const
 {
     return whole_pixels(depth, params.pixel);
 }
@@ -90,61 +90,61 @@ void validate(const Params& params)
     if (params.r1 > params.r2) reject("r1", params.r1, fmt::format("at most r2 = {}", params.r2));
 }
 
-void validate(const Setup& setup)
+void validate(const Inputs& inputs)
 {
-    validate(setup.params);
-    const double p = setup.params.pixel;
-    for (const double length : {setup.width, setup.depth}) {
+    validate(inputs.params);
+    const double p = inputs.params.pixel;
+    for (const double length : {inputs.width, inputs.depth}) {
         if (!(length > 0) || !std::isfinite(length)) reject("size", length, "> 0 m");
         if (length / p > 131072) reject("size", length, fmt::format("at most {} m", 131072 * p));
         if (std::abs(std::round(length / p) * p - length) > 1e-9 * length)
             reject("size", length, fmt::format("a multiple of the pixel, {} m", p));
     }
-    if (setup.species.empty() || setup.species.size() > 255)
-        reject("species", double(setup.species.size()), "1 to 255 kinds");
+    if (inputs.species.empty() || inputs.species.size() > 255)
+        reject("species", double(inputs.species.size()), "1 to 255 kinds");
     double reach = 0;
-    for (const Species& s : setup.species) {
-        validate(s, setup.params.spread_mode);
-        reach = std::max(reach, s.max_height * slope_of(s, setup.params.spread_mode));
+    for (const Species& s : inputs.species) {
+        validate(s, inputs.params.spread_mode);
+        reach = std::max(reach, s.max_height * slope_of(s, inputs.params.spread_mode));
     }
-    if (setup.params.border == Border::Wrap &&
-        2 * reach + 2 * p > std::min(setup.width, setup.depth))
+    if (inputs.params.border == Border::Wrap &&
+        2 * reach + 2 * p > std::min(inputs.width, inputs.depth))
         throw InvalidParameter(
             fmt::format("forest: border = wrap: crowns of {:.4g} m would meet themselves in a "
                         "domain of {} x {} "
                         "m; make it larger",
-                        2 * reach, setup.width, setup.depth));
-    if (!setup.density.empty() && int(setup.density.size()) != setup.bands())
+                        2 * reach, inputs.width, inputs.depth));
+    if (!inputs.density.empty() && int(inputs.density.size()) != inputs.bands())
         throw InvalidParameter(fmt::format(
             "forest: {} density maps, must be {}: one for each {} of {} slices",
-            setup.density.size(), setup.bands(), setup.params.band, setup.params.slices));
+            inputs.density.size(), inputs.bands(), inputs.params.band, inputs.params.slices));
     auto fits = [&](const auto& raster, const std::string& name) {
         if (!raster.empty() &&
-            (raster.width() != setup.pixels_x() || raster.depth() != setup.pixels_y()))
+            (raster.width() != inputs.pixels_x() || raster.depth() != inputs.pixels_y()))
             throw InvalidInput(fmt::format("forest: {}: {} x {} pixels, must be {} x {}", name,
-                                           raster.width(), raster.depth(), setup.pixels_x(),
-                                           setup.pixels_y()));
+                                           raster.width(), raster.depth(), inputs.pixels_x(),
+                                           inputs.pixels_y()));
     };
-    for (std::size_t b = 0; b < setup.density.size(); ++b)
-        fits(setup.density[b], fmt::format("density map {}", b + 1));
-    fits(setup.land.ground, "terrain");
-    fits(setup.land.plantable, "plantable");
-    fits(setup.land.blocked_height, "blocked_height");
-    for (const Factor& factor : setup.land.factors) fits(factor.value, factor.name);
-    if (setup.params.windthrow > 0 && !setup.wind)
+    for (std::size_t b = 0; b < inputs.density.size(); ++b)
+        fits(inputs.density[b], fmt::format("density map {}", b + 1));
+    fits(inputs.land.ground, "terrain");
+    fits(inputs.land.plantable, "plantable");
+    fits(inputs.land.blocked_height, "blocked_height");
+    for (const Factor& factor : inputs.land.factors) fits(factor.value, factor.name);
+    if (inputs.params.windthrow > 0 && !inputs.wind)
         throw InvalidParameter("forest: windthrow without a wind; give one, or windthrow = 0");
 }
 
-Forest::Forest(Setup setup) : setup_(std::move(setup))
+Forest::Forest(Inputs inputs) : inputs_(std::move(inputs))
 {
     make(nullptr);
 }
 
-Forest::Forest(Setup setup, RowStore& store) : setup_(std::move(setup))
+Forest::Forest(Inputs inputs, RowStore& store) : inputs_(std::move(inputs))
 {
-    if (setup_.params.border != Border::Clip)
+    if (inputs_.params.border != Border::Clip)
         throw InvalidParameter("forest: border = wrap does not go with a forest out of core");
-    if (setup_.params.method != Method::Columns)
+    if (inputs_.params.method != Method::Columns)
         throw InvalidParameter("forest: method = painter does not go with a forest out of core");
     make(&store);
 }
@@ -153,48 +153,49 @@ Forest::~Forest() = default;
 
 void Forest::make(RowStore* store)
 {
-    validate(setup_);
+    validate(inputs_);
     store_ = store;
-    nx_ = setup_.pixels_x();
-    ny_ = setup_.pixels_y();
-    const int edge = setup_.params.tile;
+    nx_ = inputs_.pixels_x();
+    ny_ = inputs_.pixels_y();
+    const int edge = inputs_.params.tile;
     tiles_x_ = (nx_ + edge - 1) / edge;
     tiles_y_ = (ny_ + edge - 1) / edge;
     tile_.resize(std::size_t(tiles()));
     double crown = 0, seed = 0;
-    for (const Species& s : setup_.species) {
-        slope_.push_back(slope_of(s, setup_.params.spread_mode));
+    for (const Species& s : inputs_.species) {
+        slope_.push_back(slope_of(s, inputs_.params.spread_mode));
         crown = std::max(crown, std::max(1.0, s.max_height) * slope_.back());
-        seed = std::max(seed, std::max(s.max_height, setup_.params.seedling_height) *
-                                  setup_.params.seed_factor);
+        seed = std::max(seed, std::max(s.max_height, inputs_.params.seedling_height) *
+                                  inputs_.params.seed_factor);
     }
-    const double metres = double(edge) * setup_.params.pixel;
+    const double metres = double(edge) * inputs_.params.pixel;
     // A pixel more: the trunk's pixel is claimed wherever its centre lies.
     halo_ = int(std::min(double(std::max(tiles_x_, tiles_y_)),
-                         std::ceil((crown + setup_.params.pixel) / metres)));
+                         std::ceil((crown + inputs_.params.pixel) / metres)));
     seed_halo_ = int(std::min(double(tiles_y_), std::ceil(seed / metres)));
-    density_ = setup_.density;
-    if (density_.empty()) density_.assign(std::size_t(setup_.bands()), DensityMap(nx_, ny_, 65535));
-    setup_.density.clear();
-    setup_.land.pixel = setup_.params.pixel;
-    setup_.land.bind(setup_.species);
-    std::ranges::stable_sort(setup_.edits, {}, &Edit::step);
+    density_ = inputs_.density;
+    if (density_.empty())
+        density_.assign(std::size_t(inputs_.bands()), DensityMap(nx_, ny_, 65535));
+    inputs_.density.clear();
+    inputs_.land.pixel = inputs_.params.pixel;
+    inputs_.land.bind(inputs_.species);
+    std::ranges::stable_sort(inputs_.edits, {}, &Edit::step);
 }
 
 int Forest::pixel_of(double at, int count) const
 {
-    return std::clamp(int(std::floor(at / setup_.params.pixel)), 0, count - 1);
+    return std::clamp(int(std::floor(at / inputs_.params.pixel)), 0, count - 1);
 }
 
 int Forest::tile_of(double x, double y) const
 {
-    const int edge = setup_.params.tile;
+    const int edge = inputs_.params.tile;
     return pixel_of(y, ny_) / edge * tiles_x_ + pixel_of(x, nx_) / edge;
 }
 
 std::array<int, 4> Forest::tile_bounds(int tile) const
 {
-    const int edge = setup_.params.tile, i0 = tile % tiles_x_ * edge, j0 = tile / tiles_x_ * edge;
+    const int edge = inputs_.params.tile, i0 = tile % tiles_x_ * edge, j0 = tile / tiles_x_ * edge;
     return {i0, std::min(nx_, i0 + edge), j0, std::min(ny_, j0 + edge)};
 }
 
@@ -209,16 +210,16 @@ void Forest::add(const Tree& tree)
 std::uint64_t Forest::sow(const std::vector<std::uint64_t>& counts)
 {
     std::uint64_t left_out = 0;
-    for (std::size_t s = 0; s < counts.size() && s < setup_.species.size(); ++s)
+    for (std::size_t s = 0; s < counts.size() && s < inputs_.species.size(); ++s)
         for (std::uint64_t i = 0; i < counts[s]; ++i) {
             Tree tree;
-            tree.uid = hash2(setup_.seed, ((s + 1) << 32) + i);
-            tree.x = setup_.width * uniform_of_key(tree.uid, 0);
-            tree.y = setup_.depth * uniform_of_key(tree.uid, 1);
-            const double most = std::min(3.0, setup_.species[s].max_height);
+            tree.uid = hash2(inputs_.seed, ((s + 1) << 32) + i);
+            tree.x = inputs_.width * uniform_of_key(tree.uid, 0);
+            tree.y = inputs_.depth * uniform_of_key(tree.uid, 1);
+            const double most = std::min(3.0, inputs_.species[s].max_height);
             tree.height = 1 + uniform_of_key(tree.uid, 2) * (most - 1);
             tree.species = static_cast<std::uint8_t>(s);
-            if (setup_.land.admits(int(s), pixel_of(tree.x, nx_), pixel_of(tree.y, ny_)))
+            if (inputs_.land.admits(int(s), pixel_of(tree.x, nx_), pixel_of(tree.y, ny_)))
                 add(tree);
             else
                 ++left_out;
@@ -228,11 +229,11 @@ std::uint64_t Forest::sow(const std::vector<std::uint64_t>& counts)
 
 namespace {
 
-Tree tree_of(const NewTree& from, const Setup& setup)
+Tree tree_of(const NewTree& from, const Inputs& inputs)
 {
-    if (from.species < 0 || from.species >= int(setup.species.size()))
+    if (from.species < 0 || from.species >= int(inputs.species.size()))
         throw InvalidInput(fmt::format("forest: tree {:016x} is of species {}, there are {}",
-                                       from.uid, from.species + 1, setup.species.size()));
+                                       from.uid, from.species + 1, inputs.species.size()));
     if (!(from.height > 0) || !std::isfinite(from.height))
         throw InvalidInput(
             fmt::format("forest: tree {:016x} is {} m high, must be > 0", from.uid, from.height));
@@ -240,14 +241,14 @@ Tree tree_of(const NewTree& from, const Setup& setup)
     tree.uid = from.uid;
     tree.x = from.x;
     tree.y = from.y;
-    tree.height = std::min(from.height, setup.species[std::size_t(from.species)].max_height);
+    tree.height = std::min(from.height, inputs.species[std::size_t(from.species)].max_height);
     tree.species = static_cast<std::uint8_t>(from.species);
     return tree;
 }
 
-bool within(double x, double y, const Setup& setup)
+bool within(double x, double y, const Inputs& inputs)
 {
-    return x >= 0 && x < setup.width && y >= 0 && y < setup.depth;
+    return x >= 0 && x < inputs.width && y >= 0 && y < inputs.depth;
 }
 
 [[noreturn]] void reject_twins(std::uint64_t uid, double ax, double ay, double bx, double by)
@@ -272,8 +273,8 @@ std::uint64_t Forest::plant(std::span<const NewTree> trees)
             if (const auto found = places.find(there.uid); found != places.end())
                 reject_twins(there.uid, there.x, there.y, found->second[0], found->second[1]);
     for (const NewTree& tree : trees) {
-        const Tree made = tree_of(tree, setup_);
-        if (within(tree.x, tree.y, setup_))
+        const Tree made = tree_of(tree, inputs_);
+        if (within(tree.x, tree.y, inputs_))
             add(made);
         else
             ++outside;
@@ -287,15 +288,15 @@ void Forest::resume(int step, std::vector<Tree> trees)
     size_ = 0;
     step_ = step;
     for (const Tree& tree : trees) {
-        if (!within(tree.x, tree.y, setup_) || tree.species >= setup_.species.size() ||
+        if (!within(tree.x, tree.y, inputs_) || tree.species >= inputs_.species.size() ||
             !(tree.height > 0) || !std::isfinite(tree.height))
             throw InvalidInput(fmt::format(
                 "forest: tree {:016x} at ({}, {}) m, {} m high, of species {}: not of this forest",
                 tree.uid, tree.x, tree.y, tree.height, tree.species + 1));
         add(tree);
     }
-    for (const Edit& edit : setup_.edits)
-        if (edit.step <= step) apply(edit, density_, setup_.params.pixel);
+    for (const Edit& edit : inputs_.edits)
+        if (edit.step <= step) apply(edit, density_, inputs_.params.pixel);
 }
 
 void Forest::resume(int step)
@@ -313,8 +314,8 @@ void Forest::resume(int step)
 
 void Forest::add_edit(Edit edit)
 {
-    const auto place = std::ranges::upper_bound(setup_.edits, edit.step, {}, &Edit::step);
-    setup_.edits.insert(place, std::move(edit));
+    const auto place = std::ranges::upper_bound(inputs_.edits, edit.step, {}, &Edit::step);
+    inputs_.edits.insert(place, std::move(edit));
 }
 
 // --- Space -------------------------------------------------------------------------------------
@@ -328,13 +329,13 @@ bool bigger_claim(const Claim& a, const Claim& b)
     return bigger(*a.tree, *b.tree);
 }
 
-Claim claim_of(const Tree& tree, const Setup& setup, int shift_x, int shift_y)
+Claim claim_of(const Tree& tree, const Inputs& inputs, int shift_x, int shift_y)
 {
-    const double p = setup.params.pixel;
-    const int nx = setup.pixels_x(), ny = setup.pixels_y();
+    const double p = inputs.params.pixel;
+    const int nx = inputs.pixels_x(), ny = inputs.pixels_y();
     return {tree.height,
-            tree.x + double(shift_x) * setup.width,
-            tree.y + double(shift_y) * setup.depth,
+            tree.x + double(shift_x) * inputs.width,
+            tree.y + double(shift_y) * inputs.depth,
             std::clamp(int(std::floor(tree.x / p)), 0, nx - 1) + shift_x * nx,
             std::clamp(int(std::floor(tree.y / p)), 0, ny - 1) + shift_y * ny,
             &tree};
@@ -345,18 +346,18 @@ Claim claim_of(const Tree& tree, const Setup& setup, int shift_x, int shift_y)
 std::vector<Claim> Forest::claims_of(int tile) const
 {
     const auto [i0, i1, j0, j1] = tile_bounds(tile);
-    const double p = setup_.params.pixel;
-    const Canvas canvas(setup_.params, setup_.land, density_, slope_, nx_, ny_);
-    const bool wraps = setup_.params.border == Border::Wrap;
+    const double p = inputs_.params.pixel;
+    const Canvas canvas(inputs_.params, inputs_.land, density_, slope_, nx_, ny_);
+    const bool wraps = inputs_.params.border == Border::Wrap;
     std::vector<Claim> claims;
     claims.reserve(tile_[std::size_t(tile)].size() * 5 / 4);
     auto gather = [&](const std::vector<Tree>& trees, int shift_x, int shift_y) {
         for (const Tree& tree : trees) {
             const double r = canvas.radius(tree) + p;
-            const double x = tree.x + double(shift_x) * setup_.width,
-                         y = tree.y + double(shift_y) * setup_.depth;
+            const double x = tree.x + double(shift_x) * inputs_.width,
+                         y = tree.y + double(shift_y) * inputs_.depth;
             if (x + r < i0 * p || x - r > i1 * p || y + r < j0 * p || y - r > j1 * p) continue;
-            claims.push_back(claim_of(tree, setup_, shift_x, shift_y));
+            claims.push_back(claim_of(tree, inputs_, shift_x, shift_y));
         }
     };
     // A few small tiles may be reached several times around a domain that wraps.
@@ -398,20 +399,20 @@ void Forest::draw_tile(const Canvas& canvas, int tile)
 namespace {
 
 /// All trees and, where the domain wraps, the images that reach into it.
-std::vector<Claim> all_claims(const std::vector<std::vector<Tree>>& tiles, const Setup& setup,
+std::vector<Claim> all_claims(const std::vector<std::vector<Tree>>& tiles, const Inputs& inputs,
                               const Canvas& canvas)
 {
     std::vector<Claim> claims;
-    const double p = setup.params.pixel;
-    const int around = setup.params.border == Border::Wrap ? 1 : 0;
+    const double p = inputs.params.pixel;
+    const int around = inputs.params.border == Border::Wrap ? 1 : 0;
     for (const auto& tile : tiles)
         for (const Tree& tree : tile)
             for (int sy = -around; sy <= around; ++sy)
                 for (int sx = -around; sx <= around; ++sx) {
-                    const Claim claim = claim_of(tree, setup, sx, sy);
+                    const Claim claim = claim_of(tree, inputs, sx, sy);
                     const double r = canvas.radius(tree) + p;
-                    if (claim.x + r < 0 || claim.x - r > setup.width || claim.y + r < 0 ||
-                        claim.y - r > setup.depth)
+                    if (claim.x + r < 0 || claim.x - r > inputs.width || claim.y + r < 0 ||
+                        claim.y - r > inputs.depth)
                         continue;
                     claims.push_back(claim);
                 }
@@ -423,7 +424,7 @@ std::vector<Claim> all_claims(const std::vector<std::vector<Tree>>& tiles, const
 
 void Forest::draw_all_painted(const Canvas& canvas)
 {
-    const std::vector<Claim> claims = all_claims(tile_, setup_, canvas);
+    const std::vector<Claim> claims = all_claims(tile_, inputs_, canvas);
     std::vector<Gain> gains;
     count_painted(canvas, paint(canvas, claims), claims, gains);
     for (std::size_t c = 0; c < claims.size(); ++c) {
@@ -435,26 +436,26 @@ void Forest::draw_all_painted(const Canvas& canvas)
 
 void Forest::visit_owned(int tile, const OwnedVisitor& f) const
 {
-    const Canvas canvas(setup_.params, setup_.land, density_, slope_, nx_, ny_);
+    const Canvas canvas(inputs_.params, inputs_.land, density_, slope_, nx_, ny_);
     visit_columns(canvas, tile_bounds(tile), claims_of(tile), f);
 }
 
 std::vector<std::uint32_t> Forest::footprint(const Tree& tree) const
 {
-    const Canvas canvas(setup_.params, setup_.land, density_, slope_, nx_, ny_);
-    std::vector<std::uint32_t> counts(std::size_t(setup_.params.slices), 0);
+    const Canvas canvas(inputs_.params, inputs_.land, density_, slope_, nx_, ny_);
+    std::vector<std::uint32_t> counts(std::size_t(inputs_.params.slices), 0);
     // Alone: without rocks, too.
     Land bare;
-    bare.pixel = setup_.land.pixel;
-    const bool sloping = setup_.params.slice_frame == SliceFrame::Absolute;
-    const Land& land = setup_.land.blocked_height.empty() ? setup_.land : bare;
-    if (&land == &bare && sloping) bare.ground = setup_.land.ground;
-    const Canvas alone(setup_.params, land, density_, slope_, nx_, ny_);
-    const int around = setup_.params.border == Border::Wrap ? 1 : 0;
+    bare.pixel = inputs_.land.pixel;
+    const bool sloping = inputs_.params.slice_frame == SliceFrame::Absolute;
+    const Land& land = inputs_.land.blocked_height.empty() ? inputs_.land : bare;
+    if (&land == &bare && sloping) bare.ground = inputs_.land.ground;
+    const Canvas alone(inputs_.params, land, density_, slope_, nx_, ny_);
+    const int around = inputs_.params.border == Border::Wrap ? 1 : 0;
     for (int sy = -around; sy <= around; ++sy)
         for (int sx = -around; sx <= around; ++sx) {
-            const Claim claim = claim_of(tree, setup_, sx, sy);
-            const double p = setup_.params.pixel, r = alone.radius(tree) + p;
+            const Claim claim = claim_of(tree, inputs_, sx, sy);
+            const double p = inputs_.params.pixel, r = alone.radius(tree) + p;
             // The box of its pixels that lies in the domain.
             auto low = [&](double at) { return std::max(0.0, std::floor((at - r) / p)); };
             const std::array<int, 4> box{
@@ -473,8 +474,8 @@ std::vector<std::uint32_t> Forest::footprint(const Tree& tree) const
 
 std::vector<std::uint32_t> Forest::occupancy(Method method) const
 {
-    const Canvas canvas(setup_.params, setup_.land, density_, slope_, nx_, ny_);
-    const std::vector<Claim> claims = all_claims(tile_, setup_, canvas);
+    const Canvas canvas(inputs_.params, inputs_.land, density_, slope_, nx_, ny_);
+    const std::vector<Claim> claims = all_claims(tile_, inputs_, canvas);
     // Images of one tree have its rank.
     std::unordered_map<std::uint64_t, std::uint32_t> rank;
     for (const Claim& claim : claims)
@@ -486,7 +487,7 @@ std::vector<std::uint32_t> Forest::occupancy(Method method) const
             v = v == kBlocked || v == 0 ? 0 : rank.at(claims[v - 1].tree->uid);
         return image;
     }
-    std::vector<std::uint32_t> image(area * std::size_t(setup_.params.slices), 0);
+    std::vector<std::uint32_t> image(area * std::size_t(inputs_.params.slices), 0);
     for (int t = 0; t < tiles(); ++t)
         visit_owned(t, [&](const Tree& tree, int i, int j, std::uint64_t slices) {
             const std::uint32_t of = rank.at(tree.uid);
@@ -504,9 +505,9 @@ void Forest::begin_step(Work& work)
     work.step = step_ + 1;
     work.parts.resize(tile_.size());
     work.pending.resize(tile_.size());
-    for (const Edit& edit : setup_.edits) {
+    for (const Edit& edit : inputs_.edits) {
         if (edit.step != work.step) continue;
-        apply(edit, density_, setup_.params.pixel);
+        apply(edit, density_, inputs_.params.pixel);
         if (edit.kind != Edit::Kind::Fell && edit.kind != Edit::Kind::Plant) continue;
         work.edits.push_back(edit);
         for (const NewTree& tree : edit.trees)
@@ -532,9 +533,9 @@ void Forest::edit_tiles(Work& work, int first, int last)
                 work.parts[std::size_t(t)].deaths[std::size_t(Cause::Felled)] += gone;
             } else
                 for (const NewTree& tree : edit.trees)
-                    if (within(tree.x, tree.y, setup_) && tile_of(tree.x, tree.y) == t) {
+                    if (within(tree.x, tree.y, inputs_) && tile_of(tree.x, tree.y) == t) {
                         make_room(list, 1);
-                        list.push_back(tree_of(tree, setup_));
+                        list.push_back(tree_of(tree, inputs_));
                     }
         for (Tree& tree : list) tree.kept = 0, tree.cone = 0;
     }
@@ -542,18 +543,18 @@ void Forest::edit_tiles(Work& work, int first, int last)
 
 void Forest::grow_tile(Work& work, int tile)
 {
-    const Params& p = setup_.params;
+    const Params& p = inputs_.params;
     auto& list = tile_[std::size_t(tile)];
     Work::Part& part = work.parts[std::size_t(tile)];
-    part.counts.assign(setup_.species.size(), {});
+    part.counts.assign(inputs_.species.size(), {});
     const auto step = static_cast<std::uint64_t>(work.step);
     std::size_t alive = 0;
     for (std::size_t n = 0; n < list.size(); ++n) {
         Tree tree = list[n];
-        const Species& kind = setup_.species[tree.species];
+        const Species& kind = inputs_.species[tree.species];
         const double share = tree.share();
         const int i = pixel_of(tree.x, nx_), j = pixel_of(tree.y, ny_);
-        const double vigour = setup_.land.vigour(tree.species, i, j);
+        const double vigour = inputs_.land.vigour(tree.species, i, j);
         const std::uint64_t lot = hash2(tree.uid, step);
 
         // Who dies.
@@ -565,7 +566,7 @@ void Forest::grow_tile(Work& work, int tile)
         else if (kind.max_age > 0 && tree.age >= kind.max_age)
             cause = Cause::Age;
         else if (p.windthrow > 0) {
-            const Vec3d wind = setup_.wind(tree.x, tree.y, tree.height);
+            const Vec3d wind = inputs_.wind(tree.x, tree.y, tree.height);
             const double u = std::sqrt(wind.x * wind.x + wind.y * wind.y) / p.wind_reference;
             if (uniform_of_key(lot, kGust) < p.windthrow * u * u * (tree.height / 20)) {
                 cause = Cause::Wind;
@@ -602,14 +603,14 @@ void Forest::grow_tile(Work& work, int tile)
             child.x = tree.x + far * math::cos(angle);
             child.y = tree.y + far * math::sin(angle);
             if (p.border == Border::Wrap) {
-                child.x -= setup_.width * std::floor(child.x / setup_.width);
-                child.y -= setup_.depth * std::floor(child.y / setup_.depth);
+                child.x -= inputs_.width * std::floor(child.x / inputs_.width);
+                child.y -= inputs_.depth * std::floor(child.y / inputs_.depth);
             }
             child.height = std::min(p.seedling_height, kind.max_height);
             child.species = tree.species;
-            if (!within(child.x, child.y, setup_) ||
-                !setup_.land.admits(child.species, pixel_of(child.x, nx_),
-                                    pixel_of(child.y, ny_))) {
+            if (!within(child.x, child.y, inputs_) ||
+                !inputs_.land.admits(child.species, pixel_of(child.x, nx_),
+                                     pixel_of(child.y, ny_))) {
                 ++part.lost;
                 continue;
             }
@@ -633,11 +634,11 @@ void Forest::settle(Work& work, int tile)
 void Forest::advance_in_memory(Work& work, const Progress& progress)
 {
     using Clock = std::chrono::steady_clock;
-    const Canvas canvas(setup_.params, setup_.land, density_, slope_, nx_, ny_);
+    const Canvas canvas(inputs_.params, inputs_.land, density_, slope_, nx_, ny_);
     const auto count = std::size_t(tiles());
     const auto start = Clock::now();
     parallel_for(count, [&](std::size_t t) { edit_tiles(work, int(t), int(t) + 1); });
-    if (setup_.params.method == Method::Painter)
+    if (inputs_.params.method == Method::Painter)
         draw_all_painted(canvas);
     else
         parallel_for(count, [&](std::size_t t) {
@@ -661,7 +662,7 @@ void Forest::advance_in_memory(Work& work, const Progress& progress)
 void Forest::advance_by_rows(Work& work, const Progress& progress)
 {
     using Clock = std::chrono::steady_clock;
-    const Canvas canvas(setup_.params, setup_.land, density_, slope_, nx_, ny_);
+    const Canvas canvas(inputs_.params, inputs_.land, density_, slope_, nx_, ny_);
     int loaded = 0;
     auto each_tile = [&](int row, auto&& f) {
         parallel_for(std::size_t(tiles_x_), [&](std::size_t x) {
@@ -722,7 +723,7 @@ StepStatistics Forest::advance(const Progress& progress)
 
     StepStatistics row;
     row.step = step_ = work.step;
-    row.counts.assign(setup_.species.size(), {});
+    row.counts.assign(inputs_.species.size(), {});
     row.seconds_draw = work.seconds_draw;
     row.seconds_grow = work.seconds_grow;
     std::uint64_t share = 0;
@@ -761,7 +762,7 @@ void Forest::visit(const std::function<void(std::span<const Tree>)>& f) const
             if (stored) tile = {};
         }
         std::ranges::sort(strip, [&](const Tree& a, const Tree& b) {
-            return lies_before(a, b, setup_.params.pixel);
+            return lies_before(a, b, inputs_.params.pixel);
         });
         f(strip);
     }

@@ -173,7 +173,7 @@ struct Fallen {
 /// Wind over the forest: the vector [m/s] at a place and height above its ground.
 using WindField = std::function<Vec3d(double x, double y, double height)>;
 
-struct Setup {
+struct Inputs {
     double width = 512, depth = 512;  ///< [m], multiples of the pixel
     Params params;
     std::vector<Species> species;
@@ -189,7 +189,7 @@ struct Setup {
 };
 
 /// @throws InvalidParameter, InvalidInput  naming what does not fit
-void validate(const Setup& setup);
+void validate(const Inputs& inputs);
 
 enum class Status { Growing, Extinct, Limit };
 
@@ -211,11 +211,12 @@ using OwnedVisitor = std::function<void(const Tree& tree, int i, int j, std::uin
 class Forest {
 public:
     /// @throws InvalidParameter, InvalidInput
-    explicit Forest(Setup setup);
-    /// One that keeps only a few rows of tiles in memory, see RowStore; `setup.params.border` must
+    explicit Forest(Inputs inputs);
+    /// One that keeps only a few rows of tiles in memory, see RowStore; `inputs.params.border` must
     /// be Clip. `store` must outlive it.
-    Forest(Setup setup, RowStore& store);
+    Forest(Inputs inputs, RowStore& store);
     ~Forest();
+    Forest(Forest&&) = default;
     Forest(const Forest&) = delete;
     Forest& operator=(const Forest&) = delete;
 
@@ -244,7 +245,7 @@ public:
     void add_edit(Edit edit);
 
     std::uint64_t size() const { return size_; }
-    const Setup& setup() const { return setup_; }
+    const Inputs& inputs() const { return inputs_; }
     double slope(int species) const { return slope_[std::size_t(species)]; }  ///< r / z
     const std::vector<DensityMap>& density() const { return density_; }       ///< now
     const std::vector<Fallen>& fallen() const
@@ -290,7 +291,7 @@ private:
     void load_row(int step, int row);
     void save_row(int step, int row);
 
-    Setup setup_;
+    Inputs inputs_;
     RowStore* store_ = nullptr;
     std::vector<DensityMap> density_;
     std::vector<double> slope_;  // r / z by species
