@@ -38,6 +38,7 @@ std::unique_ptr<Stage> make_soil();
 std::unique_ptr<Stage> make_moss();
 std::unique_ptr<Stage> make_tree();
 std::unique_ptr<Stage> make_sketch();
+std::unique_ptr<Stage> make_distribution();
 std::unique_ptr<Stage> make_statistics();
 std::unique_ptr<Stage> make_plot();
 std::unique_ptr<Stage> make_export();

@@ -1,0 +1,300 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "apps/forest.h"
+#include "apps/render/text.h"
+#include "apps/stages/stages.h"
+#include "core/error.h"
+#include "core/parallel.h"
+
+namespace sekitei::apps {
+namespace {
+
+using render::Rgb;
+
+struct DistributionParams {
+    int px = 512;
+    double min_height = 0, max_height = 100;
+    int columns = 0;
+    bool labels = false;
+
+    static void describe(auto&& field)
+    {
+        field("px", &DistributionParams::px, "", between(16, 16384), "width of a map in pixels");
+        field("min_height", &DistributionParams::min_height, "m", kNotNegative,
+              "trees lower than this are left out");
+        field("max_height", &DistributionParams::max_height, "m", kPositive,
+              "trees higher than this are left out");
+        field("columns", &DistributionParams::columns, "", between(0, 100),
+              "of several scenes: maps beside each other; 0: up to four");
+        field("labels", &DistributionParams::labels,
+              "names of scenes, a scale bar and species with their numbers, below each map");
+    }
+};
+
+Rgb colour_of(const forest::Species& species)
+{
+    auto channel = [&](std::size_t k) {
+        return static_cast<std::uint8_t>(
+            std::stoi(species.colour.substr(1 + 2 * k, 2), nullptr, 16));
+    };
+    return {channel(0), channel(1), channel(2)};
+}
+
+/// Part of a picture that circles are drawn into, and where the forest lies in it.
+class Map {
+public:
+    Map(Image8& image, int left, int top, int width, int height, double scale)
+        : image_(image), left_(left), top_(top), width_(width), height_(height), scale_(scale)
+    {
+    }
+
+    /// Draws a disc, north up, with a darker rim where it is large enough to have one.
+    /// @param x, y, radius  [m], from the south-western corner
+    /// @param y0, y1        rows that may be drawn, from the map's upper end
+    void disc(double x, double y, double radius, Rgb colour, int y0, int y1)
+    {
+        // What is smaller than a pixel fades instead. An edge that fades over a pixel adds pi / 12
+        // to the area of a disc.
+        const double wanted = radius * scale_, least = std::max(wanted, 0.5),
+                     r = std::sqrt(least * least - 1.0 / 12),
+                     ink = std::min(1.0, std::pow(wanted / least, 2)),
+                     rim = 0.6 * std::clamp((r - 1.2) / 3, 0.0, 1.0),
+                     half = std::clamp(r * 0.06, 0.5, 2.0);
+        const double cx = x * scale_, cy = height_ - y * scale_, reach = r + 0.5;
+        const int first = std::max(y0, int(std::floor(cy - reach))),
+                  last = std::min(y1 - 1, int(std::ceil(cy + reach)));
+        for (int j = first; j <= last; ++j) {
+            const double dy = j + 0.5 - cy, chord = reach * reach - dy * dy;
+            if (chord <= 0) continue;
+            const double wide = std::sqrt(chord);
+            const int from = std::max(0, int(std::floor(cx - wide))),
+                      to = std::min(width_ - 1, int(std::ceil(cx + wide)));
+            for (int i = from; i <= to; ++i) {
+                const double dx = i + 0.5 - cx, d = std::sqrt(dx * dx + dy * dy);
+                const double cover = ink * std::clamp(r + 0.5 - d, 0.0, 1.0);
+                if (cover <= 0) continue;
+                // The rim lies inside the circle.
+                const double dark =
+                    1 - rim * std::clamp(half + 0.5 - std::abs(d - (r - half)), 0.0, 1.0);
+                std::uint8_t* pixel = &image_.at(left_ + i, top_ + j);
+                for (std::size_t c = 0; c < 3; ++c)
+                    pixel[c] = static_cast<std::uint8_t>(pixel[c] * (1 - cover) +
+                                                         colour[int(c)] * dark * cover + 0.5);
+            }
+        }
+    }
+    int height() const { return height_; }
+
+private:
+    Image8& image_;
+    int left_, top_, width_, height_;
+    double scale_;  // pixels a metre
+};
+
+struct Circle {
+    float x, y, radius;
+    int species;
+};
+
+/// What is drawn of one scene.
+struct Sheet {
+    std::string name;
+    double width = 0, depth = 0;  // [m]
+    std::vector<forest::Species> species;
+    std::vector<std::size_t> counts;  // by species
+    std::vector<Circle> circles;      // large to small
+};
+
+class DistributionStage : public Stage {
+public:
+    const StageInfo& info() const override
+    {
+        static const StageInfo kInfo{"distribution",
+                                     "1",
+                                     "draw a forest from above: each tree a circle as wide as its "
+                                     "cone, in the colour of its species",
+                                     OutputKind::Picture,
+                                     true,
+                                     {"forest_instances", "canopy_height"},
+                                     {},
+                                     true};
+        return kInfo;
+    }
+    ParamList params() override { return describe_params(params_); }
+    void validate() override
+    {
+        validate_described("distribution", params_);
+        if (params_.min_height > params_.max_height)
+            throw InvalidParameter(
+                fmt::format("distribution: min_height = {} m, must be at most max_height = {} m",
+                            params_.min_height, params_.max_height));
+    }
+    Need estimate(SceneOutline&, const StageContext&) override
+    {
+        return {0, 6.0 * params_.px * params_.px, 1e6};
+    }
+    Json run(Scene& scene, const StageContext& context) override
+    {
+        return run_many({{"", scene}}, context);
+    }
+
+    Json run_many(const std::vector<std::pair<std::string, Scene>>& scenes,
+                  const StageContext& context) override
+    {
+        if (scenes.empty()) throw InvalidParameter("distribution: needs a scene with a forest");
+        std::vector<Sheet> sheets;
+        for (const auto& [name, scene] : scenes) sheets.push_back(sheet_of(name, scene));
+        const int count = int(sheets.size());
+        const int across = std::min(count, params_.columns > 0 ? params_.columns : 4);
+        const int text = std::max(1, params_.px / 500), line = (render::kGlyphHeight + 4) * text;
+        const int gap = count > 1 ? std::max(4, params_.px / 64) : 0;
+        int high = 0;
+        std::size_t kinds = 0;
+        for (const Sheet& sheet : sheets) {
+            high = std::max(high, height_of(sheet));
+            kinds = std::max(kinds, sheet.species.size());
+        }
+        const int words = params_.labels ? line * (2 + int(kinds + 2) / 3) : 0;
+        const int rows = (count + across - 1) / across;
+        const int width = across * (params_.px + gap) + gap,
+                  height = rows * (high + words + gap) + gap;
+        if (double(width) * double(height) > 268435456.0)
+            throw LimitExceeded(fmt::format(
+                "distribution: {} x {} pixels, the limit is 2^28; make px smaller", width, height));
+        picture = Image8(width, height, 3);
+        // Between maps, which are white where no tree stands.
+        std::fill(picture.pixels.begin(), picture.pixels.end(),
+                  static_cast<std::uint8_t>(gap > 0 || params_.labels ? 238 : 255));
+        std::size_t drawn = 0;
+        for (int k = 0; k < count; ++k) {
+            const Sheet& sheet = sheets[std::size_t(k)];
+            const int left = gap + k % across * (params_.px + gap),
+                      top = gap + k / across * (high + words + gap);
+            draw(sheet, left, top, context);
+            if (params_.labels) label(sheet, left, top + height_of(sheet), text, line);
+            drawn += sheet.circles.size();
+            context.progress.update(double(k + 1) / count);
+        }
+        return {{"trees", drawn}, {"width", picture.width}, {"height", picture.height}};
+    }
+
+private:
+    int height_of(const Sheet& sheet) const
+    {
+        return std::clamp(int(std::lround(params_.px * sheet.depth / sheet.width)), 1, 65536);
+    }
+
+    Sheet sheet_of(const std::string& name, const Scene& scene) const
+    {
+        Sheet sheet;
+        sheet.name = name;
+        try {
+            const ForestRecord record = forest_record(scene);
+            sheet.width = record.width;
+            sheet.depth = record.depth;
+            sheet.species = record.species;
+            sheet.counts.resize(record.species.size());
+            const Points& trees = scene.points_of("forest_instances");
+            const auto* height = trees.values<float>("height");
+            const auto* radius = trees.values<float>("cone_radius");
+            const auto* species = trees.values<std::int32_t>("species");
+            if (!height || !radius || !species)
+                throw InvalidInput(
+                    "forest_instances has no height, cone_radius or species; it is not from "
+                    "`sekitei forest`");
+            for (std::size_t i = 0; i < trees.position.size(); ++i) {
+                const int s = (*species)[i];
+                if (s < 0 || s >= int(record.species.size()))
+                    throw InvalidInput(
+                        fmt::format("forest_instances: tree {} is of species {}, there are {}", i,
+                                    s, record.species.size()));
+                const double h = double((*height)[i]);
+                if (!(h >= params_.min_height && h <= params_.max_height)) continue;
+                ++sheet.counts[std::size_t(s)];
+                const Vec3d at = trees.position[i] - record.corner;
+                sheet.circles.push_back({float(at.x), float(at.y), (*radius)[i], s});
+            }
+        } catch (const InvalidInput& error) {
+            throw named_after(name, error);
+        }
+        std::stable_sort(sheet.circles.begin(), sheet.circles.end(),
+                         [](const Circle& a, const Circle& b) { return a.radius > b.radius; });
+        return sheet;
+    }
+
+    void draw(const Sheet& sheet, int left, int top, const StageContext& context)
+    {
+        const int high = height_of(sheet);
+        const double scale = params_.px / sheet.width;
+        for (int y = 0; y < high; ++y)
+            std::fill_n(&picture.at(left, top + y), 3 * params_.px, std::uint8_t(255));
+        std::vector<Rgb> colours;
+        for (const forest::Species& s : sheet.species) colours.push_back(colour_of(s));
+        Map map(picture, left, top, params_.px, high, scale);
+        // Bands of rows, each with all circles in their order.
+        constexpr int kBand = 64;
+        parallel_for(std::size_t((high + kBand - 1) / kBand), [&](std::size_t band) {
+            context.progress.check();
+            const int y0 = int(band) * kBand, y1 = std::min(high, y0 + kBand);
+            const double north = (high - y0 + 1) / scale, south = (high - y1 - 1) / scale;
+            for (const Circle& c : sheet.circles)
+                if (double(c.y + c.radius) > south && double(c.y - c.radius) < north)
+                    map.disc(double(c.x), double(c.y), double(c.radius),
+                             colours[std::size_t(c.species)], y0, y1);
+        });
+    }
+
+    void label(const Sheet& sheet, int left, int top, int text, int line)
+    {
+        constexpr Rgb kInk{40, 40, 40}, kPale{110, 110, 110};
+        const double scale = params_.px / sheet.width;
+        int y = top + 4 * text;
+        if (!sheet.name.empty())
+            render::draw_text(picture, left + 2 * text, y, sheet.name, text, kInk);
+        // A bar of 1, 2 or 5 times a power of ten, at most a third of the map.
+        double metres = 1;
+        while (metres * 10 <= sheet.width / 3) metres *= 10;
+        while (metres > sheet.width / 3) metres /= 10;
+        for (const double more : {5.0, 2.0})
+            if (metres * more <= sheet.width / 3) {
+                metres *= more;
+                break;
+            }
+        const int bar = std::max(1, int(std::lround(metres * scale)));
+        const int right = left + params_.px - 2 * text;
+        const std::string size = fmt::format("{:g} m", metres);
+        for (int x = right - bar; x < right; ++x)
+            for (int k = 0; k < 2 * text; ++k)
+                for (int c = 0; c < 3; ++c) picture.at(x, y + 3 * text + k, c) = kInk[c];
+        render::draw_text(picture, right - bar - render::text_width(size, text) - 3 * text, y, size,
+                          text, kInk);
+        y += line;
+        const int third = params_.px / 3;
+        for (std::size_t s = 0; s < sheet.species.size(); ++s) {
+            const int x = left + int(s % 3) * third, row = y + int(s / 3) * line;
+            const int side = 7 * text;
+            Map(picture, x + 2 * text, row, side + 1, side + 1, 1)
+                .disc(side / 2.0 + 0.5, side / 2.0 + 0.5, side / 2.0, colour_of(sheet.species[s]),
+                      0, side + 1);
+            render::draw_text(picture, x + side + 6 * text, row, sheet.species[s].name, text, kInk);
+            render::draw_text(
+                picture, x + side + 10 * text + render::text_width(sheet.species[s].name, text),
+                row, fmt::format("{}", sheet.counts[s]), text, kPale);
+        }
+    }
+
+    DistributionParams params_;
+};
+
+}  // namespace
+
+std::unique_ptr<Stage> make_distribution()
+{
+    return std::make_unique<DistributionStage>();
+}
+
+}  // namespace sekitei::apps
