@@ -57,21 +57,22 @@ Instance instance_of(const Tree& tree, const Inputs& inputs, const ModelTable& m
     at.cone_radius = slope_of(species, inputs.params.spread_mode) * tree.height;
     at.crown_radius = at.share > 0 ? at.cone_radius * math::pow(at.share, 1.0 / 3) : 0;
     at.species = tree.species;
+    at.age = tree.age;
     at.variant = static_cast<std::int32_t>(hash2(tree.uid, kVariant) %
                                            static_cast<std::uint64_t>(models.variants));
-    at.age = std::clamp(static_cast<int>(models.ages * (tree.height / species.max_height)), 0,
-                        models.ages - 1);
-    const int kind = models.kind[tree.species];
-    int age = at.age;
-    while (age > 0 && models.crown_radius[models.model(kind, at.variant, age)] == 0) --age;
-    const std::size_t model = models.model(kind, at.variant, age);
+    const int oldest = std::clamp(static_cast<int>(models.ages * tree.height / species.max_height),
+                                  0, models.ages - 1);
+    int age = oldest;
+    auto radius = [&](int of_age) {
+        return models.crown_radius[models.model(models.kind[tree.species], at.variant, of_age)];
+    };
+    while (age > 0 && radius(age) == 0) --age;
     double across = 1;
-    if (models.crown_radius[model] > 0) {
-        at.age = age;
-        across = std::clamp(at.crown_radius / tree.height / models.crown_radius[model], kNarrowest,
-                            kWidest);
-    }
-    at.model = static_cast<std::int32_t>(models.model(kind, at.variant, at.age));
+    if (radius(age) > 0)
+        across = std::clamp(at.crown_radius / tree.height / radius(age), kNarrowest, kWidest);
+    else
+        age = oldest;
+    at.model = static_cast<std::int32_t>(models.model(models.kind[tree.species], at.variant, age));
     at.scale = Vec3d(across, across, 1) * tree.height;
     return at;
 }

@@ -30,14 +30,15 @@ void validate(const ModelTable& models, std::size_t species);
 
 struct Instance {
     std::uint64_t uid = 0;
-    Vec3d position;                                             ///< of the foot, world [m]
-    double yaw = 0;                                             ///< about z, from x to y [rad]
-    Vec3d scale;                                                ///< of a model of height 1; x = y
-    double height = 0;                                          ///< [m]
-    double cone_radius = 0;                                     ///< t H, what it wants [m]
-    double crown_radius = 0;                                    ///< t H R^(1/3), what it holds [m]
-    double share = 0;                                           ///< R
-    std::int32_t species = 0, variant = 0, age = 0, model = 0;  ///< age: place among the ages
+    Vec3d position;                       ///< of the foot, world [m]
+    double yaw = 0;                       ///< about z, from x to y [rad]
+    Vec3d scale;                          ///< of a model of height 1; x = y
+    double height = 0;                    ///< [m]
+    double cone_radius = 0;               ///< t H, what it wants [m]
+    double crown_radius = 0;              ///< t H R^(1/3), what it holds [m]
+    double share = 0;                     ///< R
+    std::int32_t species = 0, age = 0;    ///< of the tree; age in steps
+    std::int32_t variant = 0, model = 0;  ///< of the models; model as ModelTable::model()
 
     /// Quaternion x y z w of the yaw.
     std::array<float, 4> orient() const;
