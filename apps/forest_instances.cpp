@@ -351,8 +351,8 @@ void write_usda(const InstanceBlocks& instances, std::span<const Prototype> prot
                             count, n));
         out.put("]");
     };
-    array("int64[] ids",
-          [&](const Instance& at) { out.put("{}", std::bit_cast<std::int64_t>(at.uid)); });
+    // Some readers refuse a sign here.
+    array("int64[] ids", [&](const Instance& at) { out.put("{}", at.uid & ~(1ull << 63)); });
     out.put("\n");
     array("quath[] orientations", [&](const Instance& at) {  // the real part first
         const auto q = at.orient();

@@ -44,7 +44,8 @@ struct Prototype {
     double crown_radius = 0.3, crown_base = 0.3;  ///< in heights
 };
 /// USD as text: a PointInstancer `forest` with its prototypes below it, metres, z up. Positions are
-/// relative to `corner`, so that single precision is enough; primvars height and species.
+/// relative to `corner`, so that single precision is enough; ids are the lower 63 bits of
+/// numbers of trees; primvars height and species.
 /// @param prototypes  by Instance::model
 /// @throws InvalidInput  an instance of a model that is not there
 void write_usda(const InstanceBlocks& instances, std::span<const Prototype> prototypes,
