@@ -1,76 +1,19 @@
 #include "apps/recipe.h"
 
-#define TOML_HEADER_ONLY 0
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <toml++/toml.h>
 
 #include <algorithm>
 #include <map>
 #include <set>
 
+#include "apps/toml_file.h"
 #include "core/error.h"
 #include "core/file_output.h"
 #include "core/log.h"
 
 namespace sekitei::apps {
 namespace {
-
-constexpr std::uint64_t kLargestRecipe = 4u << 20;
-
-/// Collects everything that is wrong, to be told at once.
-class Errors {
-public:
-    explicit Errors(std::string file) : file_(std::move(file)) {}
-
-    /// Values given by --set were parsed under a name of their own.
-    std::string place(const toml::source_region& source) const
-    {
-        if (source.path && *source.path != file_) return *source.path;
-        return fmt::format("{}:{}:{}", file_, source.begin.line, source.begin.column);
-    }
-    void add(const toml::source_region& source, const std::string& text)
-    {
-        found_[{source.begin.line, source.begin.column, found_.size()}] =
-            place(source) + ": " + text;
-    }
-    void add(const std::string& where, const std::string& text)
-    {
-        found_[{0xFFFFFFFFu, 0, found_.size()}] = where + ": " + text;
-    }
-    bool any() const { return !found_.empty(); }
-    void raise() const
-    {
-        if (!any()) return;
-        std::vector<std::string> lines;
-        for (const auto& [key, line] : found_) lines.push_back(line);
-        throw InvalidParameter(fmt::format("{}", fmt::join(lines, "\n")));
-    }
-
-private:
-    std::string file_;
-    std::map<std::tuple<std::uint32_t, std::uint32_t, std::size_t>, std::string> found_;
-};
-
-/// A TOML value as the neutral form that parameters take; throws for dates and tables, naming the
-/// key.
-Json to_json(const toml::node& node, const std::string& key)
-{
-    if (const auto* v = node.as_string()) return v->get();
-    if (const auto* v = node.as_integer()) return v->get();
-    if (const auto* v = node.as_floating_point()) {
-        if (!std::isfinite(v->get())) throw InvalidParameter(key + " is not a finite number");
-        return v->get();
-    }
-    if (const auto* v = node.as_boolean()) return v->get();
-    if (const auto* v = node.as_array()) {
-        Json list = Json::array();
-        for (const toml::node& element : *v) list.push_back(to_json(element, key));
-        return list;
-    }
-    throw InvalidParameter(key +
-                           " is a table or a date, expected a number, text, true, false or a list");
-}
 
 std::vector<std::string> strings_of(const toml::node& node, const std::string& key)
 {
@@ -92,84 +35,6 @@ std::uint64_t seed_of(const toml::node& node)
     const auto* v = node.as_integer();
     if (!v || v->get() < 0) throw InvalidParameter("seed must be an integer, 0 or larger");
     return static_cast<std::uint64_t>(v->get());
-}
-
-/// One key of a table, where it stands and what it holds.
-struct Entry {
-    std::string key;
-    const toml::node* node;
-    toml::source_region source;  ///< of the key; of a value given by --set: of that
-};
-
-/// The tables and keys of one level in the order of the file; toml++ keeps them by name.
-std::vector<Entry> in_file_order(const toml::table& table)
-{
-    std::vector<Entry> entries;
-    for (const auto& [key, node] : table) {
-        const bool written = key.source().begin.line > 0;
-        entries.push_back({std::string(key.str()), &node, written ? key.source() : node.source()});
-    }
-    std::stable_sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) {
-        const auto &p = a.node->source().begin, &q = b.node->source().begin;
-        return std::tie(p.line, p.column) < std::tie(q.line, q.column);
-    });
-    return entries;
-}
-
-/// Where the key stands that a message names first, as "key = " or "key:" after the name of the
-/// process; `fallback` where it names none.
-toml::source_region place_of_blame(const toml::table& table, const std::string& process,
-                                   std::string_view message, const toml::source_region& fallback)
-{
-    if (message.starts_with(process + ": ")) message.remove_prefix(process.size() + 2);
-    std::size_t first = message.size();
-    toml::source_region place = fallback;
-    for (const auto& [key, node, source] : in_file_order(table))
-        for (const char* sign : {" = ", ":"}) {
-            const std::size_t at = message.find(key + sign);
-            const bool whole = at != std::string_view::npos &&
-                               (at == 0 || message[at - 1] == ' ' || message[at - 1] == '\n');
-            if (!whole || at >= first) continue;
-            first = at;
-            place = node->source();
-        }
-    return place;
-}
-
-/// toml++ goes as deep as dotted keys do, and so would the stack.
-void refuse_deep_keys(const std::string& text, const std::filesystem::path& file)
-{
-    constexpr int kMostDots = 200;
-    int dots = 0, line = 1;
-    for (const char c : text) {
-        if (c == '\n') ++line;
-        if (c == '\n' || c == ',' || c == '=' || c == '{') dots = 0;
-        if (c == '.' && ++dots > kMostDots)
-            throw InvalidParameter(
-                fmt::format("{}:{}:1: more than {} dots in a key; recipes have tables such as "
-                            "[lava] and no deeper ones",
-                            file.string(), line, kMostDots));
-    }
-}
-
-std::string read_text(const std::filesystem::path& file)
-{
-    try {
-        return read_file(file, kLargestRecipe);
-    } catch (const InvalidInput& error) {
-        throw InvalidParameter(error.what());  // a recipe is part of the command line
-    }
-}
-
-toml::table parse(const std::string& text, const std::filesystem::path& file)
-{
-    refuse_deep_keys(text, file);
-    try {
-        return toml::parse(text, file.string());
-    } catch (const toml::parse_error& error) {
-        throw InvalidParameter(fmt::format("{}:{}:{}: {}", file.string(), error.source().begin.line,
-                                           error.source().begin.column, error.description()));
-    }
 }
 
 const std::vector<std::string>& extensions_of(Stage& stage)
@@ -213,7 +78,7 @@ bool usable_name(const std::string& name)
 
 /// Fills a draft from its table.
 void read_stage(const std::string& name, const toml::table& table, std::uint64_t seed, Draft& draft,
-                Errors& errors)
+                TomlErrors& errors)
 {
     draft.stage.name = name;
     draft.stage.seed = seed;
@@ -256,7 +121,7 @@ void read_stage(const std::string& name, const toml::table& table, std::uint64_t
             } else if (key == "seed")
                 draft.stage.seed = seed_of(*node);
             else if (const Param* param = find_param(params, key))
-                param->set(to_json(*node, key));
+                param->set(json_of(*node, key));
             else {
                 std::vector<std::string> known{"stage", "from", "write", "seed"};
                 for (const Param& p : params) known.push_back(p.name);
@@ -279,7 +144,7 @@ void read_stage(const std::string& name, const toml::table& table, std::uint64_t
 }
 
 /// Orders the drafts so that each follows what it reads; reports unknown names and cycles.
-std::vector<std::size_t> sorted(const std::vector<Draft>& drafts, Errors& errors)
+std::vector<std::size_t> sorted(const std::vector<Draft>& drafts, TomlErrors& errors)
 {
     std::map<std::string, std::size_t> index;
     for (std::size_t i = 0; i < drafts.size(); ++i) index[drafts[i].stage.name] = i;
@@ -324,7 +189,7 @@ std::vector<std::size_t> sorted(const std::vector<Draft>& drafts, Errors& errors
 
 /// Every grid, point set and mesh that a stage needs must be made by something it reads.
 void check_supplies(const std::vector<Draft>& drafts, const std::vector<std::size_t>& order,
-                    Errors& errors)
+                    TomlErrors& errors)
 {
     std::map<std::string, std::set<std::string>> visible;
     for (const std::size_t i : order) {
@@ -373,7 +238,7 @@ void pass_meshes_on(std::vector<Draft>& drafts, const std::vector<std::size_t>& 
 
 /// A scene about a mesh is nothing to draw or to go on from without it: where only the scene is
 /// asked for, its mesh goes beside it as it does by hand. A list is taken at its word.
-void add_meshes_beside(std::vector<Draft>& drafts, const Errors& errors)
+void add_meshes_beside(std::vector<Draft>& drafts, const TomlErrors& errors)
 {
     std::map<std::string, std::string> owner;
     auto plain = [](const std::filesystem::path& path) { return path.lexically_normal().string(); };
@@ -400,7 +265,7 @@ void add_meshes_beside(std::vector<Draft>& drafts, const Errors& errors)
 }
 
 /// File names must suit the stage, stay inside the output folder and be used once.
-void check_writes(const std::vector<Draft>& drafts, Errors& errors)
+void check_writes(const std::vector<Draft>& drafts, TomlErrors& errors)
 {
     std::map<std::string, std::string> owner;
     for (const Draft& draft : drafts) {
@@ -497,16 +362,16 @@ std::string toml_value(const Json& value)
 
 Recipe read_recipe(const std::filesystem::path& file, const std::vector<std::string>& overrides)
 {
-    return parse_recipe(read_text(file), file, overrides);
+    return parse_recipe(read_toml_text(file), file, overrides);
 }
 
 Recipe parse_recipe(const std::string& text, const std::filesystem::path& file,
                     const std::vector<std::string>& overrides)
 {
-    toml::table root = parse(text, file);
+    toml::table root = parse_toml(text, file);
     for (const std::string& word : overrides) apply_override(root, word);
 
-    Errors errors(file.string());
+    TomlErrors errors(file.string());
     Recipe recipe;
     recipe.file = file;
     recipe.folder = file.has_parent_path() ? file.parent_path() : ".";
@@ -621,12 +486,12 @@ void require_input_files(const Recipe& recipe, const std::vector<bool>& selected
 void apply_params_file(const std::filesystem::path& file, const ParamList& params,
                        const std::function<void()>& validate)
 {
-    const toml::table table = parse(read_text(file), file);
-    Errors errors(file.string());
+    const toml::table table = read_toml(file);
+    TomlErrors errors(file.string());
     for (const auto& [key, node, source] : in_file_order(table)) {
         try {
             if (const Param* param = find_param(params, key)) {
-                param->set(to_json(*node, key));
+                param->set(json_of(*node, key));
                 continue;
             }
             std::vector<std::string> known;
