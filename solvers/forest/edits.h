@@ -21,12 +21,15 @@ struct Region {
     double pixel = 1;                            ///< of the mask [m]
 
     bool contains(double at_x, double at_y) const;
+    friend bool operator==(const Region&, const Region&) = default;
 };
 
 struct NewTree {
     std::uint64_t uid = 0;
     int species = 0;  ///< from 0
     double x = 0, y = 0, height = 1;
+
+    friend bool operator==(const NewTree&, const NewTree&) = default;
 };
 
 /// Acts at the beginning of a step, before anything else, in the order of the list.
@@ -40,6 +43,8 @@ struct Edit {
     double min_height = 0;        ///< of Fell: trees at least so high [m]
     Region region;
     std::vector<NewTree> trees;  ///< of Plant
+
+    friend bool operator==(const Edit&, const Edit&) = default;
 };
 
 /// Density of one band of slices, 0..65535 for 0..1.

@@ -130,8 +130,12 @@ TEST(Edits, SetADiscInOneMapAlone)
 
 TEST(Edits, OfARegionAreThoseOfEachPixelCentre)
 {
-    const std::vector<Region> regions{disc(-3, 20, 10), disc(74, 49, 4), disc(500, 500, 3),
-                                      polygon({{-9, 3.2}, {80, 7.7}, {33.3, 90}}), polygon({})};
+    const std::vector<Region> regions{disc(-3, 20, 10),
+                                      disc(9.25, 9.25, 1),
+                                      disc(74, 49, 4),
+                                      disc(500, 500, 3),
+                                      polygon({{-9, 3.2}, {80, 7.7}, {33.3, 90}}),
+                                      polygon({})};
     for (const Region& region : regions) {
         auto m = maps();
         apply(edit(Edit::Kind::Multiply, 0.5, region, 2), m, kPixel);

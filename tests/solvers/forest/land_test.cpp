@@ -253,6 +253,12 @@ TEST(Raster, KeepsValuesAcrossBlocksAndForgetsEqualOnes)
     EXPECT_GT(raster.memory_bytes(), bare);
     raster.compress();
     EXPECT_EQ(raster.memory_bytes(), bare);
+    // The corner's block reaches beyond the raster.
+    for (int j = 64; j < 70; ++j)
+        for (int i = 128; i < 130; ++i) raster.set(i, j, 9.0f);
+    raster.compress();
+    EXPECT_EQ(raster.memory_bytes(), bare);
+    EXPECT_EQ(raster.at(129, 69), 9);
 }
 
 }  // namespace
