@@ -4,7 +4,9 @@
 
 #include <bit>
 #include <map>
+#include <optional>
 
+#include "core/csv.h"
 #include "core/error.h"
 
 namespace sekitei::apps {
@@ -188,10 +190,8 @@ std::string forest_growth_csv(const std::vector<StepStatistics>& rows,
     for (const std::string_view cause : choice_names(forest::Cause{}))
         text += fmt::format(",{}", cause);
     text += ",mean_share";
-    static constexpr std::array<const char*, StepStatistics::kClasses> kNames{"to_3m", "to_8m",
-                                                                              "to_12m", "above"};
     for (const forest::Species& s : species)
-        for (const char* name : kNames) text += fmt::format(",{}_{}", s.name, name);
+        for (const char* name : kForestClasses) text += fmt::format(",{}_{}", s.name, name);
     text += '\n';
     for (const StepStatistics& row : rows) {
         text += fmt::format("{},{},{},{}", row.step, row.trees, row.births, row.lost);
@@ -202,6 +202,18 @@ std::string forest_growth_csv(const std::vector<StepStatistics>& rows,
         text += '\n';
     }
     return text;
+}
+
+double forest_density(const Scene& scene)
+{
+    for (auto entry = scene.history.rbegin(); entry != scene.history.rend(); ++entry) {
+        if (entry->stage != "forest" || !entry->params.contains("density")) continue;
+        const std::string text = entry->params.at("density").get<std::string>();
+        if (const std::optional<double> value = number_of(text)) return *value;
+        throw InvalidInput(
+            fmt::format("its forest grew with density = {}, which is not one number", text));
+    }
+    throw InvalidInput("its history tells of no density; it is not from `sekitei forest`");
 }
 
 Json row_json(const StepStatistics& row)

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -47,6 +48,12 @@ std::vector<forest::StepStatistics> forest_growth_of(const Scene& scene);
 /// The same as comma-separated values, species by name.
 std::string forest_growth_csv(const std::vector<forest::StepStatistics>& rows,
                               const std::vector<forest::Species>& species);
+/// What its columns of height classes are called, "to_3m" ...
+inline constexpr std::array<const char*, forest::StepStatistics::kClasses> kForestClasses{
+    "to_3m", "to_8m", "to_12m", "above"};
+/// The one density a forest was grown with, from the history of its scene.
+/// @throws InvalidInput  it has several, or a map
+double forest_density(const Scene& scene);
 /// One row as JSON and back: what folders of forests out of core keep.
 Json row_json(const forest::StepStatistics& row);
 forest::StepStatistics row_of(const Json& json);

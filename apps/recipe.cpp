@@ -198,7 +198,9 @@ void check_supplies(const std::vector<Draft>& drafts, const std::vector<std::siz
         const bool many = stage.process->info().reads_many;
         for (const std::string& parent : drafts[i].from)
             here.insert(visible[parent].begin(), visible[parent].end());
-        stage.process->meets_trees(here.contains("tree_skeleton") && !here.contains("rock"));
+        const bool rock = here.contains("rock");
+        stage.process->meets_trees(here.contains("tree_skeleton") && !rock);
+        stage.process->meets_forest(here.contains("forest_instances") && !rock);
         for (const std::string& need : stage.process->needs()) {
             const bool there = many ? std::all_of(drafts[i].from.begin(), drafts[i].from.end(),
                                                   [&](const auto& parent) {

@@ -68,6 +68,8 @@ public:
     virtual void meets_mesh(bool /*there*/) {}
     /// Told before anything else whether what it reads brings trees and no rock.
     virtual void meets_trees(bool /*alone*/) {}
+    /// The same of a forest.
+    virtual void meets_forest(bool /*alone*/) {}
     /// Whether it reads a scene with its present parameters.
     virtual bool reads_scene() { return info().reads_scene; }
     /// What it reads of a scene with its present parameters.

@@ -46,16 +46,18 @@ bool speaks_of_mesh(const std::string& name)
                        [](const VdbGridInfo& grid) { return grid.points && grid.name == "sites"; });
 }
 
-/// Whether a scene file has trees, and no rock whose surface could be shown.
-bool only_trees(const std::string& name)
+/// Tells a stage what stands in a scene file without rock whose surface could be shown.
+void tell_of_trees(Stage& stage, const std::string& name)
 {
-    if (name == "-" || is_mesh_name(name)) return false;
-    bool trees = false, rock = false;
+    if (name == "-" || is_mesh_name(name)) return;
+    bool trees = false, forest = false, rock = false;
     for (const VdbGridInfo& grid : inspect_vdb(name).grids) {
         trees = trees || grid.name == "tree_skeleton";
+        forest = forest || grid.name == "forest_instances";
         rock = rock || grid.name == "surface_sdf" || grid.name == "density";
     }
-    return trees && !rock;
+    stage.meets_trees(trees && !rock);
+    stage.meets_forest(forest && !rock);
 }
 
 /// Every file that the outputs of the command line stand for.
@@ -232,7 +234,8 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common,
                     "standard input: the scene is about a mesh, which lies beside its file; give "
                     "the file's name");
             const bool rock = scene.has("density") || scene.has("surface_sdf");
-            const bool trees = scene.points.contains("tree_skeleton");
+            const bool trees =
+                scene.points.contains("tree_skeleton") || scene.points.contains("forest_instances");
             return picture_of_surface && (rock || !trees) ? with_surface(std::move(scene)) : scene;
         }
         std::string bytes = start;
@@ -360,7 +363,7 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
     if (stage->info().reads_mesh && !inputs.empty() && !unknown)
         stage->meets_mesh(is_mesh_name(inputs.front()) || speaks_of_mesh(inputs.front()));
     if (stage->info().output != OutputKind::Scene && !inputs.empty() && fs::exists(inputs.front()))
-        stage->meets_trees(only_trees(inputs.front()));
+        tell_of_trees(*stage, inputs.front());
     stage->validate();
     if (inputs.empty() && stage->reads_scene())
         throw InvalidParameter(

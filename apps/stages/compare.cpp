@@ -213,9 +213,9 @@ struct CompareParams {
 
     static void describe(auto&& field)
     {
-        field("figure", &CompareParams::figure, "", between(0, 17),
-              "of trees: the figure of the paper whose criteria are looked at, 1, 5, 6, 10 to 14 "
-              "or 16; 0: habitats of moss");
+        field("figure", &CompareParams::figure, "", between(0, 57),
+              "the figure of the paper whose criteria are looked at: of trees 1, 5, 6, 10 to 14 or "
+              "16, of forests 48 (4.8), 49, 51 (5.1), 52, 54 to 57; 0: habitats of moss");
     }
 };
 
@@ -225,47 +225,55 @@ public:
     {
         static const StageInfo kInfo{"compare",
                                      "1",
-                                     "habitats of several scenes beside the first one's, or forms "
-                                     "of trees, with what the papers let expect",
+                                     "habitats of several scenes beside the first one's, forms of "
+                                     "trees, or forests, with what the papers let expect",
                                      OutputKind::Table,
                                      true,
                                      {"statistics"},
                                      {},
                                      true,
-                                     {"lantern", "moss", "tree"}};
+                                     {"lantern", "moss", "tree", "forest.density"}};
         return kInfo;
     }
     std::vector<std::string> needs() override
     {
         if (params_.figure == 0) return info().needs;
+        if (is_forest_figure(params_.figure))
+            return {"forest_trees", "forest_growth", "canopy_height"};
         return {"tree_skeleton", "trees", "canopy_lad"};
     }
     std::vector<std::string> uses() override
     {
         if (params_.figure == 0) return {"air_tables", "zones"};
+        if (is_forest_figure(params_.figure)) return {};
         return {"tree_growth", "tree_buds"};
     }
     ParamList params() override { return describe_params(params_); }
     void validate() override
     {
         validate_described("compare", params_);
-        if (params_.figure != 0 && !is_tree_figure(params_.figure))
-            throw InvalidParameter(fmt::format("compare: figure = {}, must be one of {}",
-                                               params_.figure, tree_figures()));
+        if (params_.figure != 0 && !is_tree_figure(params_.figure) &&
+            !is_forest_figure(params_.figure))
+            throw InvalidParameter(
+                fmt::format("compare: figure = {}, must be one of {}, or of forests {}",
+                            params_.figure, tree_figures(), forest_figures()));
     }
     Need estimate(SceneOutline&, const StageContext&) override { return {0, 1e8, 1e5}; }
 
-    Json run(Scene&, const StageContext&) override
+    Json run(Scene& scene, const StageContext& context) override
     {
-        throw InvalidParameter("compare: needs two scenes or more");
+        return run_many({{"", scene}}, context);
     }
 
     Json run_many(const std::vector<std::pair<std::string, Scene>>& scenes,
                   const StageContext&) override
     {
-        if (scenes.size() < 2) throw InvalidParameter("compare: needs two scenes or more");
-        std::vector<Line> lines =
-            params_.figure != 0 ? tree_lines(params_.figure, scenes) : roof_lines(scenes);
+        const bool forests = is_forest_figure(params_.figure);
+        if (scenes.size() < (forests ? 1 : 2))
+            throw InvalidParameter("compare: needs two scenes or more");
+        std::vector<Line> lines = forests               ? forest_lines(params_.figure, scenes)
+                                  : params_.figure != 0 ? tree_lines(params_.figure, scenes)
+                                                        : roof_lines(scenes);
         if (params_.figure == 0 && lines.empty()) {
             std::vector<Habitat> all;
             for (const auto& [name, scene] : scenes) all.push_back(habitat_of(name, scene));

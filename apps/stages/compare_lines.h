@@ -38,6 +38,44 @@ struct Line {
     }
 };
 
+/// Lines as they are found.
+class LineList {
+public:
+    std::vector<Line> list;
+
+    void bound(const std::string& measure, const std::string& scene, double value, double lower,
+               double upper)
+    {
+        list.push_back({measure, scene, value, 0, false, lower, upper});
+    }
+    void info(const std::string& measure, const std::string& scene, double value)
+    {
+        list.push_back({measure, scene, value, 0, false});
+    }
+    void ratio(const std::string& measure, const std::string& scene, double value, double first,
+               double lower, double upper)
+    {
+        list.push_back({measure, scene, value, first, true, lower, upper});
+    }
+    /// A value above (sign 1) or below (-1) the one before.
+    void after(const std::string& measure, const std::string& scene, double value, double before,
+               int sign)
+    {
+        const double any = std::numeric_limits<double>::infinity();
+        list.push_back({measure + (sign > 0 ? ", rising" : ", falling"), scene, value, 0, false,
+                        sign > 0 ? before : -any, sign > 0 ? any : before, true});
+    }
+};
+
+/// What a scene is called among those of a figure: "fig10a" and "a" are both a.
+inline std::string scene_key(const std::string& name)
+{
+    if (!name.starts_with("fig")) return name;
+    const std::size_t end = name.find_first_not_of("0123456789", 3);
+    if (end == std::string::npos) return name;
+    return name.substr(name[end] == '_' || name[end] == '-' ? end + 1 : end);
+}
+
 /// What the figures of [Kanamaru1992] show of trees; scenes are known by their names: a, b, c ...
 /// or fig10a, fig10b ...; kept, removed ...
 /// @param figure  5, 6, 10 to 14, 16; 1: pollards
@@ -46,5 +84,12 @@ std::vector<Line> tree_lines(int figure, const std::vector<std::pair<std::string
 /// Figures that have criteria: "1, 5, 6 ..."
 std::string tree_figures();
 bool is_tree_figure(int figure);
+
+/// The same of forests [Mizoguchi2008]: 48 for figure 4.8 ...
+/// @param figure  48, 49, 51, 52, 54 to 57
+std::vector<Line> forest_lines(int figure,
+                               const std::vector<std::pair<std::string, Scene>>& scenes);
+std::string forest_figures();
+bool is_forest_figure(int figure);
 
 }  // namespace sekitei::apps

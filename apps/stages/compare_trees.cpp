@@ -57,16 +57,7 @@ struct Form {
     }
 };
 
-/// "fig10a" and "a" are both a.
-std::string key_of(const std::string& name)
-{
-    if (!name.starts_with("fig")) return name;
-    const std::size_t end = name.find_first_not_of("0123456789", 3);
-    if (end == std::string::npos) return name;
-    return name.substr(name[end] == '_' || name[end] == '-' ? end + 1 : end);
-}
-
-class Lines {
+class Lines : public LineList {
 public:
     Lines(int figure, const std::vector<std::pair<std::string, Scene>>& scenes) : figure_(figure)
     {
@@ -75,7 +66,7 @@ public:
                 GroveRecord record = grove_record(scene);
                 tree::Grove grove(record.params, record.species, std::move(record.state));
                 const tree::Shape shape = tree::shape_of(grove);
-                forms_.emplace(key_of(name), Form{std::move(grove), shape, growth_of(scene)});
+                forms_.emplace(scene_key(name), Form{std::move(grove), shape, growth_of(scene)});
             } catch (const InvalidInput& error) {
                 throw InvalidInput(name + ": " + error.what());
             }
@@ -94,20 +85,6 @@ public:
         return found->second;
     }
 
-    void bound(const std::string& measure, const std::string& scene, double value, double lower,
-               double upper)
-    {
-        list.push_back({measure, scene, value, 0, false, lower, upper});
-    }
-    void info(const std::string& measure, const std::string& scene, double value)
-    {
-        bound(measure, scene, value, -kAny, kAny);
-    }
-    void ratio(const std::string& measure, const std::string& scene, double value, double first,
-               double lower, double upper)
-    {
-        list.push_back({measure, scene, value, first, true, lower, upper});
-    }
     /// Each next one's value above (sign 1) or below (-1) the one before.
     template <class F>
     void strictly(const std::string& measure, const std::vector<std::string>& keys, int sign,
@@ -119,13 +96,9 @@ public:
                 info(measure, keys[k], now);
                 continue;
             }
-            const double before = value(form(keys[k - 1]));
-            list.push_back({measure + (sign > 0 ? ", rising" : ", falling"), keys[k], now, 0, false,
-                            sign > 0 ? before : -kAny, sign > 0 ? kAny : before, true});
+            after(measure, keys[k], now, value(form(keys[k - 1])), sign);
         }
     }
-
-    std::vector<Line> list;
 
 private:
     int figure_;
