@@ -401,12 +401,12 @@ Columns highest_surface(const FloatGrid& grid, bool density, const std::string& 
         for (int k = 0; k < kLeafSize; ++k) {
             const float below = grid.at(leaf, k);
             if (!solid(below) || !grid.mask(leaf).test(k)) continue;
-            const Coord c = leaf_coord(grid.origin(leaf), k), up = c + Coord(0, 0, 1);
-            const bool within = (k & 7) != 7;  // z runs fastest
-            const float above = within ? grid.at(leaf, k + 1) : grid.value(up);
+            const Coord c = leaf_coord(grid.origin(leaf), k);
+            // z runs fastest. What lies under a roof never counts, so neither does what a level set
+            // does not know beyond its narrow band.
+            const float above =
+                (k & 7) != 7 ? grid.at(leaf, k + 1) : grid.value(c + Coord(0, 0, 1));
             if (solid(above)) continue;
-            // Beyond its narrow band a level set knows no surface.
-            if (!density && !(within ? grid.mask(leaf).test(k + 1) : grid.active(up))) continue;
             const double share = (double(below) - double(iso)) / (double(below) - double(above));
             double& highest = columns.at(c.x, c.y);
             highest = std::max(highest, transform.origin.z + transform.voxel * (c.z + 0.5 + share));
@@ -470,7 +470,11 @@ Raster<float> terrain_of_volume(const MapWord& word, const std::filesystem::path
     Grid grid = load_grid(path, name, context);
     const bool fog = grid.grid_class == GridClass::FogVolume || name == "density",
                level_set = grid.grid_class == GridClass::LevelSet;
-    if (!fog && !level_set) return Layers(std::move(grid), who, frame).only_layer(frame);
+    if (!fog && !level_set) {
+        Raster<float> ground = Layers(std::move(grid), who, frame).only_layer(frame);
+        ground.transform([&](float z) { return static_cast<float>(double(z) - frame.corner.z); });
+        return ground;
+    }
     const auto* floats = std::get_if<FloatGrid>(&grid.values);
     if (!floats)
         throw InvalidInput(fmt::format("{} holds {}, must hold floats", who, grid.type_name()));

@@ -95,8 +95,10 @@ void validate(const TerrainParams& params);
 /// Height of the ground above the frame's corner [m]; empty without a terrain.
 ///
 /// A picture is bilinear between the centres of its pixels; its south-western corner is the
-/// forest's. A level set or a density lies in the world: of each pixel's columns of voxels the
-/// highest surface counts, and where there is none the ground is at the corner's height.
+/// forest's, and its heights are above that corner. Volumes have heights in the world: one layer of
+/// them, as a forest leaves it in `terrain_height`, or a level set or a density, of which the
+/// highest surface in each pixel's columns of voxels counts; where there is none the ground is at
+/// the corner's height.
 /// @throws InvalidParameter, InvalidInput
 forest::Raster<float> read_terrain(const TerrainParams& params, const ForestFrame& frame,
                                    const StageContext& context);

@@ -119,8 +119,8 @@ void Land::bind(const std::vector<Species>& species)
 bool Land::admits(int species, int i, int j) const
 {
     if (!plantable.empty() && plantable.at(i, j) == 0) return false;
-    // A rock that takes the first slice leaves a seedling nothing.
-    if (!blocked_height.empty() && double(blocked_height.at(i, j)) >= 1) return false;
+    // Rocks take every slice that they reach into, so a seedling would have nothing left.
+    if (!blocked_height.empty() && double(blocked_height.at(i, j)) > 1e-9) return false;
     if (!flat() && slope(i, j) > max_slope_[std::size_t(species)]) return false;
     return vigour(species, i, j) >= 0;
 }

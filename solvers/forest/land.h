@@ -64,7 +64,7 @@ public:
     /// @throws InvalidParameter  a species has limits of a factor that is not there
     void bind(const std::vector<Species>& species);
     /// Whether a seedling of this species (0-based) may stand there; bind() first. It may not where
-    /// the ground is too steep or not plantable, where a rock is 1 m high or more, and where it
+    /// the ground is too steep or not plantable, where a rock lies, and where it
     /// would die.
     bool admits(int species, int i, int j) const;
     /// f_env in 0..1; below 0 where the species dies.

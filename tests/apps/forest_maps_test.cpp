@@ -213,6 +213,11 @@ TEST_F(ForestMaps, SparseVolumeHasItsBackgroundElsewhere)
     EXPECT_EQ(maps[0].at(1, 2), forest::density_value(0.75));
     EXPECT_EQ(maps[0].at(4, 1), forest::density_value(0.5));
     EXPECT_EQ(maps[0].at(5, 3), forest::density_value(0.25));
+    // But a voxel outside the forest belongs to another one.
+    scene.put("a", layers({8, 4, 1}, [](Coord) { return 0.5; }), "", "");
+    std::get<FloatGrid>(scene.grids.at("a").values).mask(0).reset(leaf_offset({0, 0, 0}));
+    write_vdb(folder / "a.vdb", scene);
+    EXPECT_THAT([&] { density("a.vdb"); }, fails(ExitCode::BadInput, "8 x 4", "6 x 4"));
 }
 
 TEST_F(ForestMaps, EnvironmentHasNamesRangesAndNumbers)
@@ -255,6 +260,10 @@ TEST_F(ForestMaps, MasksAndBlockedHeights)
     EXPECT_EQ(mask.at(2, 3), 1);
     EXPECT_EQ(mask.at(3, 3), 1);
     EXPECT_EQ(mask.at(4, 3), 0);
+    Image16 faint(6, 4, 1);
+    faint.at(1, 3) = 1;
+    EXPECT_EQ(image_mask(faint, "faint", frame).at(1, 0), 1);
+    EXPECT_EQ(image_mask(faint, "faint", frame).at(0, 0), 0);
     const auto rocks = read_map("blocked_height", "m.png[0..8.5]", frame, context);
     EXPECT_FLOAT_EQ(rocks.at(3, 3), 8.5f);
     EXPECT_THAT([&] { read_map("blocked_height", "1,2", frame, context); },
@@ -375,12 +384,12 @@ TEST_F(ForestMaps, FineForestOnACoarseRockTakesTheColumnItStandsOn)
     EXPECT_NEAR(ground.at(4, 1), 3 + 0.5 * 2.25, 0.02);
 }
 
-TEST_F(ForestMaps, HeightsInALayerAreTakenAsTheyAre)
+TEST_F(ForestMaps, HeightsInALayerAreThoseOfTheWorld)
 {
     Scene scene;
-    scene.put("terrain_height", layers({6, 4, 1}, [](Coord c) { return c.x - 0.5 * c.y; }), "m",
-              "forest");
-    scene.put("canopy_height", layers({6, 4, 1}, [](Coord) { return 9; }), "m", "forest");
+    scene.put("terrain_height", layers({6, 4, 1}, [](Coord c) { return 30 + c.x - 0.5 * c.y; }),
+              "m", "forest");
+    scene.put("canopy_height", layers({6, 4, 1}, [](Coord) { return 39; }), "m", "forest");
     write_vdb(folder / "a.vdb", scene);
     EXPECT_FLOAT_EQ(terrain({"a.vdb", {}, {}, {}}).at(5, 2), 4);
     EXPECT_FLOAT_EQ(terrain({"a.vdb:canopy_height", {}, {}, {}}).at(5, 2), 9);

@@ -198,7 +198,7 @@ TEST(Land, AdmitsNoSeedlingOnSteepForbiddenOrRockyGround)
     EXPECT_FALSE(land.admits(1, 5, 5));
     EXPECT_TRUE(land.admits(1, 5, 6));
     land.blocked_height = {kWidth, kDepth, 0.0f};
-    land.blocked_height.set(5, 6, 3.0f);
+    land.blocked_height.set(5, 6, 0.25f);
     EXPECT_FALSE(land.admits(1, 5, 6));
     EXPECT_TRUE(land.admits(1, 6, 6));
 }
