@@ -205,28 +205,112 @@ std::vector<Word> rocks(const Canvas& canvas, const std::array<int, 4>& bounds)
     return taken;
 }
 
-template <class Word, class Shape>
 SEKITEI_INLINE void draw(const Canvas& canvas, const std::array<int, 4>& bounds,
                          const std::vector<Claim>& claims, std::vector<Gain>& gains)
 {
     const auto [i0, i1, j0, j1] = bounds;
     const Weights weights(canvas, bounds);
-    std::vector<Word> taken = rocks<Word>(canvas, bounds);
+    std::vector<std::uint64_t> taken = rocks<std::uint64_t>(canvas, bounds);
     const auto width = std::size_t(i1 - i0);
-    Shape shape{canvas};
+    AnyShape shape{canvas};
     for (std::size_t c = 0; c < claims.size(); ++c) {
         Gain gain;
         each_column(canvas, bounds, claims[c], shape, [&](int i, int j, int lo, int hi) {
             const std::size_t pixel = std::size_t(j - j0) * width + std::size_t(i - i0);
-            const auto wanted = static_cast<Word>(run_of_bits(lo, hi));
-            const auto got = static_cast<Word>(wanted & ~taken[pixel]);
+            const std::uint64_t wanted = run_of_bits(lo, hi);
+            const std::uint64_t got = wanted & ~taken[pixel];
             gain.cone += static_cast<std::uint32_t>(hi - lo + 1);
             if (got == 0) return;
-            taken[pixel] = static_cast<Word>(taken[pixel] | wanted);
+            taken[pixel] |= wanted;
             gain.kept += weights.of(got, pixel);
         });
         gains[c] = gain;
     }
+}
+
+/// The same for inverted cones on slices that follow the ground: the hot loop. The lowest slice of
+/// a pixel, the smallest k with squared <= (k t)^2, comes from a root that may be one too small, so
+/// that nothing branches but the ends of rows.
+template <class Word, bool kSame>
+SEKITEI_INLINE void draw_inverted(const Canvas& canvas, const std::array<int, 4>& bounds,
+                                  const Weights& weights, const std::vector<Claim>& claims,
+                                  std::vector<Gain>& gains)
+{
+    const auto [i0, i1, j0, j1] = bounds;
+    const auto width = std::size_t(i1 - i0);
+    const double p = canvas.params.pixel;
+    std::vector<Word> taken = rocks<Word>(canvas, bounds);
+    for (std::size_t c = 0; c < claims.size(); ++c) {
+        const Claim& claim = claims[c];
+        const std::size_t kind = claim.tree->species;
+        const double* const reach = canvas.reach[kind].data();
+        const double per_slice = 1 / canvas.slope[kind];
+        const int top = canvas.top(claim.height);
+        const double limit = reach[top], radius = double(top) * canvas.slope[kind];
+        const auto all = static_cast<Word>(run_of_bits(1, top));
+        std::uint64_t kept = 0;
+        std::uint32_t cone = 0;
+        auto take = [&](std::size_t pixel, Word wanted) {
+            const auto got = static_cast<Word>(wanted & ~taken[pixel]);
+            taken[pixel] = static_cast<Word>(taken[pixel] | wanted);
+            if constexpr (kSame)
+                kept += std::uint64_t(std::popcount(got));
+            else
+                kept += weights.of(got, pixel);
+        };
+        const bool trunk =
+            claim.trunk_i >= i0 && claim.trunk_i < i1 && claim.trunk_j >= j0 && claim.trunk_j < j1;
+        if (trunk) {
+            take(std::size_t(claim.trunk_j - j0) * width + std::size_t(claim.trunk_i - i0), all);
+            cone += static_cast<std::uint32_t>(top);
+        }
+        const double row = claim.y / p - 0.5, column = claim.x / p - 0.5, across = radius / p;
+        const int first = int(std::max(double(j0), std::floor(row - across))),
+                  last = int(std::min(double(j1 - 1), std::ceil(row + across)));
+        for (int j = first; j <= last; ++j) {
+            const double dy = (double(j) + 0.5) * p - claim.y, dy2 = dy * dy;
+            if (dy2 > limit) continue;
+            auto squared = [&](int i) {
+                const double dx = (double(i) + 0.5) * p - claim.x;
+                return dx * dx + dy2;
+            };
+            const double half = std::sqrt(limit - dy2) / p;
+            int from = int(std::max(double(i0), std::floor(column - half))),
+                to = int(std::min(double(i1 - 1), std::ceil(column + half)));
+            while (from <= to && squared(from) > limit) ++from;
+            while (from <= to && squared(to) > limit) --to;
+            Word* const line = taken.data() + std::size_t(j - j0) * width;
+            auto span = [&](int begin, int end) {
+                for (int i = begin; i < end; ++i) {
+                    const double d2 = squared(i);
+                    int lo = std::max(1, int(std::sqrt(d2) * per_slice));
+                    lo += d2 > reach[lo];
+                    lo += d2 > reach[lo];
+                    const auto wanted =
+                        static_cast<Word>(all & ~((std::uint64_t(1) << (lo - 1)) - 1));
+                    cone += static_cast<std::uint32_t>(top - lo + 1);
+                    take(std::size_t(line - taken.data()) + std::size_t(i - i0), wanted);
+                }
+            };
+            if (trunk && j == claim.trunk_j) {
+                span(from, std::min(to + 1, claim.trunk_i));
+                span(std::max(from, claim.trunk_i + 1), to + 1);
+            } else
+                span(from, to + 1);
+        }
+        gains[c] = {kSame ? kept * weights.all : kept, cone};
+    }
+}
+
+template <class Word>
+SEKITEI_INLINE void draw_plain(const Canvas& canvas, const std::array<int, 4>& bounds,
+                               const std::vector<Claim>& claims, std::vector<Gain>& gains)
+{
+    const Weights weights(canvas, bounds);
+    if (weights.same)
+        draw_inverted<Word, true>(canvas, bounds, weights, claims, gains);
+    else
+        draw_inverted<Word, false>(canvas, bounds, weights, claims, gains);
 }
 
 bool plain(const Canvas& canvas)
@@ -238,17 +322,17 @@ bool plain(const Canvas& canvas)
 SEKITEI_CLONES void draw_plain_32(const Canvas& canvas, const std::array<int, 4>& bounds,
                                   const std::vector<Claim>& claims, std::vector<Gain>& gains)
 {
-    draw<std::uint32_t, InvertedCone>(canvas, bounds, claims, gains);
+    draw_plain<std::uint32_t>(canvas, bounds, claims, gains);
 }
 SEKITEI_CLONES void draw_plain_64(const Canvas& canvas, const std::array<int, 4>& bounds,
                                   const std::vector<Claim>& claims, std::vector<Gain>& gains)
 {
-    draw<std::uint64_t, InvertedCone>(canvas, bounds, claims, gains);
+    draw_plain<std::uint64_t>(canvas, bounds, claims, gains);
 }
 SEKITEI_CLONES void draw_any(const Canvas& canvas, const std::array<int, 4>& bounds,
                              const std::vector<Claim>& claims, std::vector<Gain>& gains)
 {
-    draw<std::uint64_t, AnyShape>(canvas, bounds, claims, gains);
+    draw(canvas, bounds, claims, gains);
 }
 
 template <class Shape>
@@ -276,7 +360,8 @@ Canvas::Canvas(const Params& p, const Land& l, const std::vector<DensityMap>& d,
 {
     for (const double t : slope) {
         std::vector<double>& squares = reach.emplace_back();
-        for (int k = 0; k <= params.slices; ++k) {
+        // One more than there are: who looks for the lowest slice may look one too far.
+        for (int k = 0; k <= params.slices + 1; ++k) {
             const double r = double(k) * t;
             squares.push_back(r * r);
         }

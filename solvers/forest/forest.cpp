@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <bit>
 #include <chrono>
 #include <cmath>
 #include <cstring>
@@ -322,11 +323,30 @@ void Forest::add_edit(Edit edit)
 
 namespace {
 
-/// The biggest first; `a` and `b` may be images of trees.
-bool bigger_claim(const Claim& a, const Claim& b)
+/// Puts the biggest first. Whole numbers decide nearly always: heights as bits, which ascend with
+/// positive numbers, then the age and most of the uid.
+void sort_claims(std::vector<Claim>& claims)
 {
-    if (a.height != b.height) return a.height > b.height;
-    return bigger(*a.tree, *b.tree);
+    struct Key {
+        std::uint64_t height, rest;
+        std::uint32_t place;
+    };
+    std::vector<Key> keys(claims.size());
+    for (std::size_t c = 0; c < claims.size(); ++c) {
+        const Tree& tree = *claims[c].tree;
+        keys[c] = {std::bit_cast<std::uint64_t>(tree.height),
+                   std::uint64_t(tree.age) << 48 | ~tree.uid >> 16, static_cast<std::uint32_t>(c)};
+    }
+    std::ranges::sort(keys, [&](const Key& a, const Key& b) {
+        if (a.height != b.height) return a.height > b.height;
+        if (a.rest != b.rest) return a.rest > b.rest;
+        const Claim &first = claims[a.place], &second = claims[b.place];
+        if (first.tree != second.tree) return bigger(*first.tree, *second.tree);
+        return a.place < b.place;  // images of one tree
+    });
+    std::vector<Claim> sorted(claims.size());
+    for (std::size_t c = 0; c < keys.size(); ++c) sorted[c] = claims[keys[c].place];
+    claims = std::move(sorted);
 }
 
 Claim claim_of(const Tree& tree, const Inputs& inputs, int shift_x, int shift_y)
@@ -379,7 +399,7 @@ std::vector<Claim> Forest::claims_of(int tile) const
             if (at_x < 0 || at_x >= tiles_x_ || at_y < 0 || at_y >= tiles_y_) continue;
             gather(tile_[std::size_t(at_y * tiles_x_ + at_x)], shift_x, shift_y);
         }
-    std::ranges::sort(claims, bigger_claim);
+    sort_claims(claims);
     return claims;
 }
 
@@ -416,7 +436,7 @@ std::vector<Claim> all_claims(const std::vector<std::vector<Tree>>& tiles, const
                         continue;
                     claims.push_back(claim);
                 }
-    std::ranges::sort(claims, bigger_claim);
+    sort_claims(claims);
     return claims;
 }
 
