@@ -244,14 +244,18 @@ void put_forest_trees(Scene& scene, const std::vector<forest::Tree>& trees)
 {
     Points points;
     points.stage = "forest";
-    std::vector<std::int64_t> uid;
+    std::vector<std::int64_t> uid, kept, cone;
     std::vector<std::int32_t> species, age;
     for (const forest::Tree& tree : trees) {
         points.position.emplace_back(tree.x, tree.y, tree.height);
         uid.push_back(signed_bits(tree.uid));
         species.push_back(tree.species);
         age.push_back(tree.age);
+        kept.push_back(signed_bits(tree.kept));
+        cone.push_back(tree.cone);
     }
+    points.attributes["kept"] = std::move(kept);
+    points.attributes["cone"] = std::move(cone);
     points.attributes["uid"] = std::move(uid);
     points.attributes["species"] = std::move(species);
     points.attributes["age"] = std::move(age);
@@ -261,7 +265,9 @@ void put_forest_trees(Scene& scene, const std::vector<forest::Tree>& trees)
 std::vector<forest::Tree> forest_trees_of(const Scene& scene)
 {
     const Points& points = scene.points_of("forest_trees");
-    const auto& uid = column<std::int64_t>(points, "forest_trees", "uid");
+    const auto &uid = column<std::int64_t>(points, "forest_trees", "uid"),
+               &kept = column<std::int64_t>(points, "forest_trees", "kept"),
+               &cone = column<std::int64_t>(points, "forest_trees", "cone");
     const auto &species = column<std::int32_t>(points, "forest_trees", "species"),
                &age = column<std::int32_t>(points, "forest_trees", "age");
     std::vector<forest::Tree> trees(points.position.size());
@@ -275,6 +281,8 @@ std::vector<forest::Tree> forest_trees_of(const Scene& scene)
         trees[k].uid = unsigned_bits(uid[k]);
         trees[k].species = static_cast<std::uint8_t>(species[k]);
         trees[k].age = static_cast<std::uint16_t>(age[k]);
+        trees[k].kept = unsigned_bits(kept[k]);
+        trees[k].cone = static_cast<std::uint32_t>(cone[k]);
     }
     return trees;
 }

@@ -58,7 +58,8 @@ double forest_density(const Scene& scene);
 Json row_json(const forest::StepStatistics& row);
 forest::StepStatistics row_of(const Json& json);
 
-/// Points `forest_trees`: position = (x, y, height) in the forest's own metres, uid, species, age.
+/// Points `forest_trees`: position = (x, y, height) in the forest's own metres, uid, species,
+/// age, kept, cone.
 void put_forest_trees(Scene& scene, const std::vector<forest::Tree>& trees);
 /// @throws InvalidInput  an attribute is missing
 std::vector<forest::Tree> forest_trees_of(const Scene& scene);

@@ -279,13 +279,16 @@ void check_writes(const std::vector<Draft>& drafts, TomlErrors& errors)
                        fmt::format("{}: every = {} numbers scenes after the stage's own file, but "
                                    "it writes none; add write = \"{}.vdb\"",
                                    stage.name, every, stage.name));
-        if (!stage.process->side_files().empty())
-            errors.add(draft.source,
-                       fmt::format("{}: {} would be written behind the recipe's back; write points "
-                                   "with an `export` stage, or make it from the scene by "
-                                   "command: `sekitei {}`",
-                                   stage.name, stage.process->side_files().front().string(),
-                                   stage.process->info().name));
+        std::vector<std::filesystem::path> beside = stage.process->side_files();
+        for (const std::filesystem::path& folder : stage.process->side_folders())
+            beside.push_back(folder);
+        if (!beside.empty())
+            errors.add(
+                draft.source,
+                fmt::format("{}: {} would be written behind the recipe's back; write points "
+                            "with an `export` stage, or make it from the scene by "
+                            "command: `sekitei {}`",
+                            stage.name, beside.front().string(), stage.process->info().name));
         for (const std::string& name : stage.write) {
             const std::filesystem::path path(name);
             const auto& allowed = extensions_of(*stage.process);
@@ -542,7 +545,7 @@ std::string recipe_from_history(const std::vector<HistoryEntry>& history, const 
             if (param.kind == Param::Kind::Path && value == "") continue;
             // Files beside the result are none of a recipe's business.
             param.set(value);
-            if (!stage->side_files().empty()) {
+            if (!stage->side_files().empty() || !stage->side_folders().empty()) {
                 param.set(usual);
                 continue;
             }

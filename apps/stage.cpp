@@ -16,9 +16,9 @@ namespace {
 
 using Factory = std::unique_ptr<Stage> (*)();
 constexpr Factory kFactories[] = {
-    make_lava,       make_cool, make_joint,  make_weather, make_mesh,  make_lantern,
-    make_light,      make_wind, make_soil,   make_moss,    make_tree,  make_render,
-    make_statistics, make_plot, make_sketch, make_compare, make_export};
+    make_lava,   make_cool,       make_joint, make_weather, make_mesh,    make_lantern,
+    make_light,  make_wind,       make_soil,  make_moss,    make_tree,    make_forest,
+    make_render, make_statistics, make_plot,  make_sketch,  make_compare, make_export};
 
 }  // namespace
 
@@ -82,7 +82,9 @@ HistoryEntry history_of(Stage& stage, const StageContext& context)
 {
     // What else is written, and where, is no part of how the scene was made.
     Json params = params_json(stage.params());
-    for (const std::filesystem::path& file : stage.side_files())
+    std::vector<std::filesystem::path> beside = stage.side_files();
+    for (const std::filesystem::path& folder : stage.side_folders()) beside.push_back(folder);
+    for (const std::filesystem::path& file : beside)
         for (const Param& p : stage.params())
             if (params[p.name] == Json(file.string())) params[p.name] = "";
     return {stage.info().name, stage.info().version, std::move(params), context.seed,

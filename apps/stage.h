@@ -82,6 +82,8 @@ public:
     virtual std::vector<std::filesystem::path> files() { return {}; }
     /// Files that it writes itself besides its result, as written; not in recipes.
     virtual std::vector<std::filesystem::path> side_files() { return {}; }
+    /// Folders where it keeps what is too large for memory; not in recipes.
+    virtual std::vector<std::filesystem::path> side_folders() { return {}; }
     /// Every how many steps it hands a scene to StageContext::frame; 0: never.
     virtual int frame_interval();
     /// Bound to this object; set values through it.

@@ -37,6 +37,7 @@ std::unique_ptr<Stage> make_wind();
 std::unique_ptr<Stage> make_soil();
 std::unique_ptr<Stage> make_moss();
 std::unique_ptr<Stage> make_tree();
+std::unique_ptr<Stage> make_forest();
 std::unique_ptr<Stage> make_sketch();
 std::unique_ptr<Stage> make_distribution();
 std::unique_ptr<Stage> make_statistics();
