@@ -28,6 +28,7 @@ struct LightParams {
     bool keep_photons = false;
     std::optional<std::int64_t> days;
     bool repeat_year = false;
+    double canopy_extinction = 0.5;
 
     static void describe(auto&& field)
     {
@@ -46,6 +47,8 @@ struct LightParams {
               "length of the weather to use; auto: to its end");
         field("repeat_year", &LightParams::repeat_year,
               "begin the weather anew when it is shorter than days");
+        field("canopy_extinction", &LightParams::canopy_extinction, "", between(0, 10),
+              "share of the leaf area of canopy_lad that is its shadow; 0: it has none");
     }
 };
 
@@ -96,7 +99,7 @@ public:
     std::vector<std::string> uses() override
     {
         if (on_mesh()) return {};
-        std::vector<std::string> names{"obstacle_sdf", "leaves"};
+        std::vector<std::string> names{"obstacle_sdf", "leaves", "canopy_lad", "canopy_height"};
         if (params_.surface.empty()) names.insert(names.end(), kSurfaces.begin(), kSurfaces.end());
         return names;
     }
@@ -160,7 +163,14 @@ public:
 
         std::vector<TriMesh> hiding;
         hiding.push_back(marching_tetrahedra(surface, 0, progress.slice(0.15, 0.25)));
-        for (TriMesh mesh : {obstacle_mesh(scene), bark_mesh(scene, {}), leaf_mesh(scene)})
+        // The leaves of a canopy are single leaves, or fog that lets some light through: those of a
+        // forest are fog, with those of its single trees in it.
+        const bool fog = scene.has("canopy_lad") && params_.canopy_extinction > 0 &&
+                         (scene.has("canopy_height") || !scene.points.contains("leaves"));
+        std::optional<light::Veil> veil;
+        if (fog) veil.emplace(scene.floats("canopy_lad"), params_.canopy_extinction);
+        for (TriMesh mesh :
+             {obstacle_mesh(scene), bark_mesh(scene, {}), fog ? TriMesh() : leaf_mesh(scene)})
             if (!mesh.triangles.empty()) hiding.push_back(std::move(mesh));
         std::vector<const TriMesh*> occluders;
         for (const TriMesh& mesh : hiding) occluders.push_back(&mesh);
@@ -168,7 +178,7 @@ public:
         if (!p.ground && scene.domain.dims.z > 0) p.ground = scene.domain.transform.origin.z;
         const light::Coefficients coefficients =
             light::trace(sites, occluders, weather.site->latitude, light::rain_winds(weather.days),
-                         p, progress.slice(0.25, 0.8));
+                         p, progress.slice(0.25, 0.8), veil ? &*veil : nullptr);
         hiding.clear();
 
         const std::size_t n = cells.size();
@@ -245,7 +255,10 @@ private:
         std::vector<std::string> of_cells;
         for (const Param& p : describe_params(light_))
             if (p.name != "albedo") of_cells.push_back(p.name);
+        of_cells.emplace_back("canopy_extinction");
         warn_unused(*this, of_cells, "on a mesh");
+        if (scene.has("canopy_lad"))
+            log::warning("light: on a mesh, the leaves of canopy_lad give no shade");
         const Progress& progress = context.progress;
         const TriMesh was = scene.meshes.at("rock");
         const MeshSites sites = sites_of(was, ground_.site, "light", progress.slice(0, 0.05));

@@ -28,16 +28,19 @@ constexpr float kFar = INFINITY;
 constexpr std::int32_t kDown = 1 << 30, kNumber = kDown - 1;
 // kForeign - 27 down - direction
 constexpr std::int32_t kSky = -1, kGround = -2, kForeign = -3, kBuried = -100;
+// Leaves, or what they shade: as good as dark. Below the horizontal one less.
+constexpr std::int32_t kLeaves = -101;
 
 struct Link {
     bool down;
-    std::int32_t site;  ///< or kSky, kGround, kForeign, kBuried
+    std::int32_t site;  ///< or kSky, kGround, kForeign, kBuried, kLeaves
     int facing;         ///< of kForeign: 0..26, neighbour_index() of the rounded normal
 };
 
 std::int32_t pack(Link link)
 {
     if (link.site >= 0) return link.site | (link.down ? kDown : 0);
+    if (link.site == kLeaves) return kLeaves - link.down;
     return link.site == kForeign ? kForeign - link.facing - (link.down ? 27 : 0) : link.site;
 }
 Link unpack(std::int32_t code)
@@ -46,6 +49,7 @@ Link unpack(std::int32_t code)
     if (code == kSky) return {false, kSky, 0};
     if (code == kGround) return {true, kGround, 0};
     if (code == kBuried) return {false, kBuried, 0};
+    if (code == kLeaves || code == kLeaves - 1) return {code != kLeaves, kLeaves, 0};
     const int rest = kForeign - code;
     return {rest >= 27, kForeign, rest % 27};
 }
@@ -376,6 +380,14 @@ private:
     std::vector<Bounds> boxes_;
 };
 
+/// The place is the identity, so that a site keeps its random numbers when others come or go.
+std::uint64_t key_of(Vec3d origin)
+{
+    return hash2(
+        hash2(std::bit_cast<std::uint64_t>(origin.x), std::bit_cast<std::uint64_t>(origin.y)),
+        std::bit_cast<std::uint64_t>(origin.z));
+}
+
 /// The directions from which light is reflected onto a site: cosine-weighted, turned at random from
 /// site to site.
 class LinkDirections {
@@ -384,10 +396,7 @@ public:
     {
         std::tie(a_, b_) = across(normal_);
         constexpr Stream kTurn{"light.link_turn"};
-        // The place is the identity, so that a site keeps its links when others come or go.
-        const std::uint64_t place = hash2(
-            hash2(std::bit_cast<std::uint64_t>(origin.x), std::bit_cast<std::uint64_t>(origin.y)),
-            std::bit_cast<std::uint64_t>(origin.z));
+        const std::uint64_t place = key_of(origin);
         turn_ = uniform01(0, kTurn, place, 0) * 2 * kPi;
         shift_ = uniform01(0, kTurn, place, 1);
     }
@@ -408,10 +417,11 @@ private:
 /// The rays of single sites.
 class Tracer {
 public:
-    Tracer(Coefficients& result, const Sites& sites, const Geometry& geometry)
+    Tracer(Coefficients& result, const Sites& sites, const Geometry& geometry, const Veil* veil)
         : result_(result),
           sites_(sites),
           geometry_(geometry),
+          veil_(veil),
           finder_(sites),
           directions_(directions(result.latitude, result.winds, result.params))
     {
@@ -463,8 +473,9 @@ public:
                     whole += weight;
                     ++asked;
                     if (!visible(part.centre)) continue;
-                    seen += weight;
-                    ++found;
+                    const double share = through(origin, part.centre);
+                    seen += weight * share;
+                    found += share >= 0.5;
                 }
                 put(static_cast<std::size_t>(patch), asked && 2 * found >= asked);
             }
@@ -473,12 +484,24 @@ public:
 
         // Sun: a bin whose centre lies just behind the surface answers for moments before it.
         const std::size_t first = 32 * static_cast<std::size_t>(directions_.sun_word);
-        for (std::size_t b = 0; b < directions_.sun.size(); ++b) {
-            Vec3f s = directions_.sun[b];
-            const float cosine = dot(n, s);
-            if (cosine < -margin_) continue;
-            if (cosine < kGrazing) s = normalized(s + n * (kGrazing - cosine));
-            if (again(s)) put(first + b, visible(s));
+        constexpr Stream kFleck{"light.fleck"};
+        for (std::size_t r = 0; r < directions_.rows.size(); ++r) {
+            double light = veil_ && !buried ? uniform01(0, kFleck, key_of(origin), r) : 0;
+            const auto begin = static_cast<std::size_t>(directions_.rows[r].first);
+            const auto count = static_cast<std::size_t>(directions_.rows[r].count);
+            for (std::size_t b = begin; b < begin + count; ++b) {
+                Vec3f s = directions_.sun[b];
+                const float cosine = dot(n, s);
+                if (cosine < -margin_) continue;
+                if (cosine < kGrazing) s = normalized(s + n * (kGrazing - cosine));
+                bool lit = true;
+                if (veil_ && !buried) {
+                    light += through(origin, s);
+                    lit = light >= 1;
+                    light -= lit;
+                }
+                if (again(s)) put(first + b, lit && visible(s));
+            }
         }
 
         bool rain = false;
@@ -499,32 +522,53 @@ public:
             const Vec3d d = towards(k);
             if (again(Vec3f(d)))
                 result_.links[static_cast<std::size_t>(k) * result_.sites + i] =
-                    buried ? kBuried : pack(link(origin, Vec3f(d)));
+                    buried ? kBuried : pack(link(origin, Vec3f(d), k));
         }
     }
 
 private:
     static constexpr float kGrazing = 0.01f;
 
-    Link link(Vec3d origin, Vec3f direction) const
+    double through(Vec3d origin, Vec3f direction) const
+    {
+        return veil_ ? veil_->transmittance(origin, Vec3d(direction)) : 1;
+    }
+
+    Link link(Vec3d origin, Vec3f direction, int k) const
     {
         const Vec3d d(direction);
         const bool down = d.z < 0;
         double distance = 0;
         Vec3d normal;
         const bool hit = geometry_.intersect(Vec3f(origin), direction, distance, normal);
-        if (down && result_.params.ground &&
-            (!hit || (*result_.params.ground - origin.z) / d.z < distance))
-            return {true, kGround, 0};
-        if (!hit) return {down, down ? kGround : kSky, 0};
-        const std::int32_t number = finder_.find(origin + d * distance, d);
+        // Leaves before the sky, or above what reflects, are met as often as they take light.
+        auto unless_leaves = [&](Link bare, Vec3d from, Vec3d to) -> Link {
+            constexpr Stream kLeaf{"light.link_leaves"};
+            if (!veil_ || uniform01(0, kLeaf, key_of(origin), std::uint64_t(k)) <
+                              veil_->transmittance(from, to))
+                return bare;
+            return {down, kLeaves, 0};
+        };
+        constexpr Vec3d kUp(0, 0, 1);
+        if (down && result_.params.ground) {
+            const double fall = (*result_.params.ground - origin.z) / d.z;
+            if (!hit || fall < distance)
+                return unless_leaves({true, kGround, 0}, origin + d * fall, kUp);
+        }
+        if (!hit)
+            return down ? unless_leaves({true, kGround, 0}, origin, kUp)
+                        : unless_leaves({false, kSky, 0}, origin, d);
+        const Vec3d at = origin + d * distance;
+        const std::int32_t number = finder_.find(at, d);
         if (number >= 0) return {down, number, 0};
-        return {down, kForeign, facing_of(dot(normal, d) > 0 ? -normal : normal)};
+        return unless_leaves({down, kForeign, facing_of(dot(normal, d) > 0 ? -normal : normal)}, at,
+                             kUp);
     }
 
     Coefficients& result_;
     const Sites& sites_;
     const Geometry& geometry_;
+    const Veil* veil_;
     const SiteFinder finder_;
     const Directions directions_;
     float margin_ = 0;
@@ -669,7 +713,8 @@ std::size_t Coefficients::bytes_per_site() const
 }
 
 Coefficients trace(const Sites& sites, std::span<const TriMesh* const> occluders, double latitude,
-                   std::span<const RainWind> winds, const Params& params, const Progress& progress)
+                   std::span<const RainWind> winds, const Params& params, const Progress& progress,
+                   const Veil* veil)
 {
     check_sites(sites);
     Coefficients c;
@@ -685,7 +730,7 @@ Coefficients trace(const Sites& sites, std::span<const TriMesh* const> occluders
     log::detail("light: {} sites, {} directions of the sky, {} of the sun, {} of rain", c.sites,
                 all.sky.size(), all.sun.size(), all.rain.size());
     const Geometry geometry(occluders, progress);
-    Tracer tracer(c, sites, geometry);
+    Tracer tracer(c, sites, geometry, veil);
     over_sites(c.sites, progress,
                [&](std::size_t i) { tracer.site(i, [](Vec3f) { return true; }); });
     return c;
@@ -693,7 +738,7 @@ Coefficients trace(const Sites& sites, std::span<const TriMesh* const> occluders
 
 Coefficients retrace(const Coefficients& old, const Sites& sites,
                      std::span<const TriMesh* const> occluders, std::span<const Bounds> changed,
-                     const Progress& progress)
+                     const Progress& progress, const Veil* veil)
 {
     check_sites(sites);
     if (sites.size() != old.sites)
@@ -704,7 +749,7 @@ Coefficients retrace(const Coefficients& old, const Sites& sites,
     Coefficients c = old;
     const Geometry geometry(occluders, progress);
     const Reach reach(changed);
-    Tracer tracer(c, sites, geometry);
+    Tracer tracer(c, sites, geometry, veil);
     over_sites(c.sites, progress, [&](std::size_t i) {
         const Vec3d origin = sites.origin[i];
         tracer.site(i, [&](Vec3f direction) { return reach.met(origin, direction); });
@@ -784,7 +829,9 @@ Light day(const Coefficients& c, const Sites& sites, std::span<const sun::Moment
                     if (link.site == kBuried) count[0] = count[1] = 1;
                     if (link.site == kSky || link.site == kBuried) continue;
                     double sent = ground;
-                    if (link.site == kForeign)
+                    if (link.site == kLeaves)
+                        sent = 0;
+                    else if (link.site == kForeign)
                         sent = foreign[static_cast<std::size_t>(link.facing)];
                     else if (link.site >= 0) {
                         const auto j = static_cast<std::size_t>(link.site);

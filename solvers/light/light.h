@@ -13,6 +13,7 @@
 #include "core/progress.h"
 #include "core/vec.h"
 #include "core/weather.h"
+#include "solvers/light/veil.h"
 #include "solvers/sun/sun.h"
 
 /// Daily light and rain exposure of surfaces by daylight coefficients [Tregenza1983].
@@ -144,22 +145,29 @@ bool link_fits(std::int32_t link, std::int32_t sites);
 /// V integrates the parts of patches that are seen, in proportion to the whole sky, so that a plane
 /// in the open has exactly (1 + n_z) / 2. Rain: e = mean over drops r of Vis(r) max(0, n.r) / r_z.
 /// @param occluders  meshes that may hide the sky; those that carry the sites among them
+/// A veil of leaves lets through a share of the light of each part of the sky. A bit cannot tell
+/// shares: those of a row of the sun are lit so often as the light comes through, evenly spread
+/// from a beginning that differs from site to site, like flecks of sun; so are links. Rain drips
+/// through.
 /// @param latitude   [rad]
+/// @param veil       leaves of a canopy; null: none
 /// @throws InvalidInput  arrays of different lengths, sites that are not finite, bad meshes
 /// @throws Cancelled
 ///
 /// Bit-identical for any number of threads.
 Coefficients trace(const Sites& sites, std::span<const TriMesh* const> occluders, double latitude,
-                   std::span<const RainWind> winds, const Params& params, const Progress& progress);
+                   std::span<const RainWind> winds, const Params& params, const Progress& progress,
+                   const Veil* veil = nullptr);
 
 /// The coefficients after some occluders changed, moved, came or went.
 ///
 /// Only rays that meet a changed box are asked again; the result equals a full trace bit for bit.
 /// @param occluders  all of them, after the change
 /// @param changed    boxes that hold every triangle that is new or gone
+/// @param veil       the same as before
 Coefficients retrace(const Coefficients& old, const Sites& sites,
                      std::span<const TriMesh* const> occluders, std::span<const Bounds> changed,
-                     const Progress& progress);
+                     const Progress& progress, const Veil* veil = nullptr);
 
 struct Light {
     std::vector<float> total, direct, sky, reflected;

@@ -238,6 +238,27 @@ double bounded_spacing(double spacing, double step, double room, double most)
     return least <= spacing ? spacing : round_up(least, step);
 }
 
+/// Height of the leaves around the object where they are trees; a low box would leave the wind no
+/// way but through them.
+double tall_canopy(const Inputs& inputs, Vec3d axis)
+{
+    constexpr double kAround = 32, kLow = 6;  // [m]
+    if (!inputs.canopy) return 0;
+    const FloatGrid& canopy = *inputs.canopy;
+    const Transform& transform = canopy.transform();
+    const double half = 0.5 * kLeafEdge * transform.voxel;
+    double top = 0;
+    for (std::size_t leaf = 0; leaf < canopy.leaf_count(); ++leaf) {
+        const Vec3d at = transform.world(Vec3d(canopy.origin(leaf))) + Vec3d(half) - axis;
+        if (std::max(std::abs(at.x), std::abs(at.y)) > kAround || at.z + half <= top) continue;
+        canopy.mask(leaf).for_each([&](int o) {
+            if (canopy.at(leaf, o) > 0)
+                top = std::max(top, at.z - half + ((o & 7) + 1) * transform.voxel);
+        });
+    }
+    return top > kLow ? top : 0;
+}
+
 void check_count(const char* what, double count, double spacing)
 {
     if (count > kMostCells)
@@ -275,7 +296,8 @@ Plan plan(const Inputs& inputs, const Params& params)
             radius, length(Vec3d(cell.x - found.axis.x, cell.y - found.axis.y, 0)) + half_voxel);
     const double more = 2 * std::max(0.0, std::ceil(radius - kGardenRadius));
     found.garden_size = params.garden_size.value_or(
-        kGarden + Vec3d(1.5 * more, more, std::max(0.0, std::ceil(2 * height - 4))));
+        max(kGarden + Vec3d(1.5 * more, more, std::max(0.0, std::ceil(2 * height - 4))),
+            Vec3d(3, 2, 2) * std::ceil(tall_canopy(inputs, found.axis))));
     double& l0 = found.garden_spacing;
     l0 = params.garden_spacing.value_or(
         bounded_spacing(kReferenceSpacing, 0.05, volume(found.garden_size), params.largest_count));

@@ -51,7 +51,7 @@ struct Params {
               "of the stream in the solver; ratios do not depend on it");
         field("garden_size", &Params::garden_size, "m", kPositive,
               "box of the garden along the wind, across and up; the object stands at 7/12 of the "
-              "length; auto: 24 x 16 x 8, larger for objects over 4 m");
+              "length; auto: 24 x 16 x 8, larger for objects over 4 m or trees over 6 m");
         field("garden_spacing", &Params::garden_spacing, "m", kPositive,
               "particle or cell of the garden; auto: 0.5, coarser over largest_count");
         field("probe_margin", &Params::probe_margin, "m", kNotNegative,

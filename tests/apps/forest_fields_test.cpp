@@ -1,0 +1,124 @@
+// What light and wind meet of a forest, and trees grown in place in it.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <numeric>
+
+#include "solvers/forest/canopy.h"
+#include "solvers/wind/wind.h"
+#include "tests/apps/climate_scenes.h"
+
+namespace sekitei::apps {
+namespace {
+
+using namespace sekitei::apps::testing;
+
+/// The canopy of a grown stand, which stands on `ground` [m] around the origin.
+forest::Canopy stand(double ground)
+{
+    forest::Inputs inputs;
+    inputs.width = inputs.depth = 64;
+    inputs.species = forest::table_species();
+    forest::Forest forest(inputs);
+    forest.sow({20, 20, 20, 20, 20, 20});
+    for (int n = 0; n < 12; ++n) forest.advance();
+    return forest::canopy(forest, {}, {-32, -32, ground});
+}
+
+double mean_of(const Scene& scene, const std::string& name)
+{
+    const SurfaceCells cells = cells_of(scene);
+    const std::vector<float> values = cells.from_grid(scene.floats(name), 0);
+    return std::accumulate(values.begin(), values.end(), 0.0) / double(values.size());
+}
+
+TEST(ForestFields, LeavesShadeTheGround)
+{
+    Habitat habitat;
+    // 6 m x 5 m of ground at z = 0.5 in the middle of the stand.
+    const auto ground = [] {
+        return body(0.25, {-3, -2.5, 0}, {6, 5, 1}, [](Vec3d p) { return p.z - 0.5; });
+    };
+    const std::string weather =
+        weather_csv(10, [](int) { return Sky{.global = 200, .diffuse = 90}; });
+    Scene open = ground(), shaded = ground(), ignored = ground();
+    const forest::Canopy canopy = stand(0.5);
+    for (Scene* scene : {&shaded, &ignored})
+        scene->put("canopy_lad", canopy.leaf_area_density, "1/m", "forest", GridClass::FogVolume);
+    habitat.light(open, weather);
+    habitat.light(shaded, weather);
+    habitat.light(ignored, weather, {{"canopy_extinction", 0}});
+    EXPECT_EQ(content_hash(ignored.grids.at("light_S")), content_hash(open.grids.at("light_S")));
+    EXPECT_EQ(content_hash(ignored.points.at("daylight")),
+              content_hash(open.points.at("daylight")));
+
+    // Sky from all around comes a longer way than straight down.
+    double down = 0;
+    for (int i = -3; i < 3; ++i)
+        for (int j = -2; j < 3; ++j)
+            down += double(canopy.ground_transmittance.value({32 + i, 32 + j, 0})) / 30;
+    ASSERT_LT(down, 0.5);
+    const double view = mean_of(shaded, "sky_view");
+    EXPECT_GT(view, 0.2 * down);
+    EXPECT_LT(view, down + 0.05);
+    EXPECT_NEAR(mean_of(shaded, "light_sky") / mean_of(open, "light_sky"), view, 1e-3);
+    const double sun = mean_of(shaded, "light_direct") / mean_of(open, "light_direct");
+    EXPECT_GT(sun, 0);
+    EXPECT_LT(sun, down + 0.05);
+    EXPECT_LT(mean_of(shaded, "light_S"), 0.6 * mean_of(open, "light_S"));
+    EXPECT_NEAR(mean_of(shaded, "rain_exposure"), mean_of(open, "rain_exposure"), 1e-6);
+}
+
+TEST(ForestFields, SingleLeavesShadeInTheirOwnWay)
+{
+    // The fog of leaves that are there one by one is not taken for more of them.
+    Habitat habitat;
+    const std::string weather = weather_csv(2, [](int) { return Sky{}; });
+    Scene bare = plane(), both = plane();
+    Points leaves;
+    leaves.position = {{0.8, 0.2, 0.9}};
+    leaves.attributes["N"] = std::vector<Vec3f>{{0, 0, 1}};
+    leaves.attributes["pscale"] = std::vector<float>{0.2f};
+    for (Scene* scene : {&bare, &both}) scene->points["leaves"] = leaves;
+    const forest::Canopy canopy = stand(0.5);
+    both.put("canopy_lad", canopy.leaf_area_density, "1/m", "tree", GridClass::FogVolume);
+    habitat.light(bare, weather);
+    habitat.light(both, weather);
+    EXPECT_EQ(content_hash(both.grids.at("light_S")), content_hash(bare.grids.at("light_S")));
+    // Those of single trees in a forest are part of its fog.
+    both.put("canopy_height", canopy.height, "m", "forest");
+    habitat.light(both, weather);
+    EXPECT_LT(mean_of(both, "sky_view"), 0.7 * mean_of(bare, "sky_view"));
+}
+
+TEST(ForestFields, TheWindHasAWayOverTheTrees)
+{
+    const Scene rock = body(0.25, {-2, -2, 0}, {4, 4, 3}, [](Vec3d p) {
+        return box_distance(p, {0, 0, 0.5}, {0.6, 0.6, 0.6});
+    });
+    const forest::Canopy canopy = stand(0);
+    const std::vector<Vec3d> cells{{-0.6, 0, 0.1}, {0.6, 0, 1.1}};
+    wind::Inputs inputs{.object = &rock.floats("surface_sdf"), .cells = cells};
+    const Vec3d open = wind::plan(inputs, {.ground = 0.0}).garden_size;
+    EXPECT_EQ(open, Vec3d(24, 16, 8));
+    inputs.canopy = &canopy.drag;
+    double top = 0;
+    for (int i = 0; i < 64; ++i)
+        for (int j = 0; j < 64; ++j) top = std::max(top, double(canopy.height.value({i, j, 0})));
+    ASSERT_GT(top, 15);
+    const wind::Plan plan = wind::plan(inputs, {.ground = 0.0});
+    EXPECT_GT(plan.garden_size.z, 1.8 * top);
+    EXPECT_LT(plan.garden_size.z, 2.2 * top + 1);
+    EXPECT_GT(plan.garden_size.x, plan.garden_size.y);
+    // What is asked for stays; bushes are no trees.
+    EXPECT_EQ(wind::plan(inputs, {.garden_size = Vec3d(30, 20, 10), .ground = 0.0}).garden_size,
+              Vec3d(30, 20, 10));
+    FloatGrid bush(LeafTopology::build({{0, 0, 0}}), {{3, 3, 0}, 0.5}, 0);
+    bush.set_constant(0, 0.5f);
+    bush.mask(0) = LeafMask::full();
+    inputs.canopy = &bush;
+    EXPECT_EQ(wind::plan(inputs, {.ground = 0.0}).garden_size, open);
+}
+
+}  // namespace
+}  // namespace sekitei::apps
