@@ -27,6 +27,7 @@ using forest::NewTree;
 using forest::Region;
 using forest::Species;
 
+constexpr std::uint64_t kLargestLog = 64u << 20;  // a million planted trees
 constexpr Stream kPlanted{"forest.planted"}, kListed{"forest.listed"};
 
 /// "0x1139fd5694aac492", or a decimal number; negative ones are the bits of a 64-bit integer.
@@ -69,7 +70,7 @@ public:
 
     std::vector<Edit> read()
     {
-        const toml::table root = read_toml(file_);
+        const toml::table root = read_toml(file_, kLargestLog);
         for (const auto& [key, node, source] : in_file_order(root)) {
             if (key != "edit") {
                 errors_.add(source, key + ": unknown key, expected [[edit]] tables" +
@@ -573,7 +574,7 @@ std::vector<Edit> read_edits(const std::filesystem::path& file, const ForestWord
 std::vector<std::filesystem::path> edit_files(const std::filesystem::path& file)
 {
     std::vector<std::filesystem::path> files;
-    const toml::table root = read_toml(file);
+    const toml::table root = read_toml(file, kLargestLog);
     if (const toml::array* edits = root.get_as<toml::array>("edit"))
         for (const toml::node& edit : *edits)
             if (const toml::table* table = edit.as_table())

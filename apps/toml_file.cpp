@@ -11,8 +11,6 @@
 namespace sekitei::apps {
 namespace {
 
-constexpr std::uint64_t kLargestFile = 4u << 20;
-
 /// toml++ goes as deep as dotted keys do, and so would the stack.
 void refuse_deep_keys(const std::string& text, const std::filesystem::path& file)
 {
@@ -111,10 +109,10 @@ std::string did_you_mean(const std::string& key, const std::vector<std::string>&
     return near.empty() ? "" : fmt::format(", did you mean '{}'?", near);
 }
 
-std::string read_toml_text(const std::filesystem::path& file)
+std::string read_toml_text(const std::filesystem::path& file, std::uint64_t largest)
 {
     try {
-        return read_file(file, kLargestFile);
+        return read_file(file, largest);
     } catch (const InvalidInput& error) {
         throw InvalidParameter(error.what());  // a recipe is part of the command line
     }
@@ -131,9 +129,9 @@ toml::table parse_toml(const std::string& text, const std::filesystem::path& fil
     }
 }
 
-toml::table read_toml(const std::filesystem::path& file)
+toml::table read_toml(const std::filesystem::path& file, std::uint64_t largest)
 {
-    return parse_toml(read_toml_text(file), file);
+    return parse_toml(read_toml_text(file, largest), file);
 }
 
 }  // namespace sekitei::apps

@@ -59,9 +59,10 @@ std::string did_you_mean(const std::string& key, const std::vector<std::string>&
 
 /// @throws InvalidParameter  not TOML, with the place
 toml::table parse_toml(const std::string& text, const std::filesystem::path& file);
-/// The text of a file of at most 4 MiB.
+/// Bytes of the largest file of settings.
+inline constexpr std::uint64_t kLargestToml = 4u << 20;
 /// @throws InvalidParameter  as it is part of the command line
-std::string read_toml_text(const std::filesystem::path& file);
-toml::table read_toml(const std::filesystem::path& file);
+std::string read_toml_text(const std::filesystem::path& file, std::uint64_t largest = kLargestToml);
+toml::table read_toml(const std::filesystem::path& file, std::uint64_t largest = kLargestToml);
 
 }  // namespace sekitei::apps
