@@ -35,7 +35,7 @@ struct ForestRecord {
 };
 
 /// The metadata of `canopy_height` that holds it.
-inline constexpr const char* kForestSettings = "sekitei:forest";
+inline constexpr const char* kForestSettings = "forest";
 std::string forest_settings(const ForestRecord& record);
 /// @throws InvalidInput  the scene's forest is not from `sekitei forest`, or damaged
 ForestRecord forest_record(const Scene& scene);

@@ -298,6 +298,8 @@ public:
         }
         map_words("density", params_.density, false);
         map_words("environment", params_.environment, true);
+        map_words("plantable", params_.plantable, false);
+        map_words("blocked_height", params_.blocked_height, false);
         hero_places(params_.heroes);
         if (params_.every > 0 && params_.sequence > 0)
             throw InvalidParameter("forest: every and sequence: give one of the two");
@@ -421,7 +423,7 @@ private:
                     "forest: temperature is given as a map of the environment and as a number");
             land.add_temperature(*params_.temperature, 0, params_.lapse_rate);
         }
-        if (!land.flat() && !given("slope")) land.add_slope();
+        if (!given("slope")) land.add_slope();
         if (!params_.edits.empty())
             inputs.edits = read_edits(resolve(context, params_.edits), words(inputs));
         kinds_.clear();
@@ -643,8 +645,8 @@ private:
               "watch_maps", "step_seconds", "corner", "max_trees"})
             values.erase(free);
         values["seed"] = context.seed;
-        for (const auto& [name, hash] : input_hashes(*this, context).items())
-            values["file " + name] = hash;
+        const Json hashes = input_hashes(*this, context);
+        for (const auto& [name, hash] : hashes.items()) values["file " + name] = hash;
         return values;
     }
 
