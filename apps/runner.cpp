@@ -658,7 +658,7 @@ private:
             for (const std::string& name : process.makes()) move_item(name, part, scene_);
         }
         clear_progress_line();
-        for (const auto& [name, hash] : outputs) in_memory_[name] = hash;
+        for (const auto& [name, hash] : outputs) in_memory_[name] = {hash, key};
 
         double lava_voxels = outline.lava_voxels;
         if (process.info().name == "lava")
@@ -741,10 +741,11 @@ private:
     /// Brings an item with this very content into memory.
     void load(const std::string& name, const Item& item)
     {
-        const auto held = in_memory_.find(name);
-        if (held != in_memory_.end() && held->second == item.hash) return;
-        drop(name);
+        // Grids of equal values may differ in the words that come with them.
         const std::string key = records_[item.maker].json["key"];
+        const auto held = in_memory_.find(name);
+        if (held != in_memory_.end() && held->second == std::pair(item.hash, key)) return;
+        drop(name);
         const fs::path result = result_path(item.maker, key);
         const Progress reading = context(item.maker).progress.named("reading");
         if (stage(item.maker).process->info().output == OutputKind::Mesh ||
@@ -760,7 +761,7 @@ private:
             Scene part = read_vdb(result, read, reading);
             move_item(name, part, scene_);
         }
-        in_memory_[name] = item.hash;
+        in_memory_[name] = {item.hash, key};
     }
 
     /// Frees what no later stage or output file needs.
@@ -777,7 +778,7 @@ private:
         }
         std::vector<std::string> names;
         std::size_t bytes = 0;
-        for (const auto& [name, hash] : in_memory_)
+        for (const auto& [name, content] : in_memory_)
             if (!wanted.contains(name)) {
                 names.push_back(name);
                 bytes += bytes_of(name);
@@ -969,8 +970,9 @@ private:
     std::vector<Items> visible_;
     std::vector<SceneOutline> outlines_;
     std::vector<Record> records_;
-    Scene scene_;                                   // what is in memory now
-    std::map<std::string, std::string> in_memory_;  // and which content each item has
+    Scene scene_;  // what is in memory now
+    // Hash of each item's content, and the key of what made it.
+    std::map<std::string, std::pair<std::string, std::string>> in_memory_;
     Json state_ = Json::object();
     Json manifest_;
     std::vector<std::pair<std::string, std::size_t>> written_;
