@@ -65,6 +65,7 @@ struct Draft {
     bool from_given = false;
     bool one_file = false;  ///< write is a name, not a list
     toml::source_region source, write_source;
+    const toml::table* table = nullptr;
 };
 
 /// A stage's name is part of file names in the cache and of messages.
@@ -82,6 +83,7 @@ void read_stage(const std::string& name, const toml::table& table, std::uint64_t
 {
     draft.stage.name = name;
     draft.stage.seed = seed;
+    draft.table = &table;
     draft.source = draft.write_source = table.source();
     draft.stage.place = errors.place(table.source());
     if (!usable_name(name))
@@ -201,6 +203,13 @@ void check_supplies(const std::vector<Draft>& drafts, const std::vector<std::siz
         const bool rock = here.contains("rock");
         stage.process->meets_trees(here.contains("tree_skeleton") && !rock);
         stage.process->meets_forest(here.contains("forest_instances") && !rock);
+        try {
+            stage.process->check_reading();
+        } catch (const InvalidParameter& error) {
+            errors.add(place_of_blame(*drafts[i].table, stage.process->info().name, error.what(),
+                                      drafts[i].source),
+                       error.what());
+        }
         for (const std::string& need : stage.process->needs()) {
             const bool there = many ? std::all_of(drafts[i].from.begin(), drafts[i].from.end(),
                                                   [&](const auto& parent) {

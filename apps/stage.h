@@ -90,6 +90,9 @@ public:
     virtual ParamList params() = 0;
     /// @throws InvalidParameter
     virtual void validate() = 0;
+    /// Judges what depends on what it reads, once it was told of that; after validate().
+    /// @throws InvalidParameter
+    virtual void check_reading() {}
     /// Reads the small files that parameters name, so that their mistakes are told before anything
     /// is computed.
     /// @throws InvalidInput, InvalidParameter

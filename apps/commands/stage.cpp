@@ -365,6 +365,7 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
     if (stage->info().output != OutputKind::Scene && !inputs.empty() && fs::exists(inputs.front()))
         tell_of_trees(*stage, inputs.front());
     stage->validate();
+    stage->check_reading();
     if (inputs.empty() && stage->reads_scene())
         throw InvalidParameter(
             fmt::format("{}: which scene? give a .vdb file, or - for standard input", name));

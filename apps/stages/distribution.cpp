@@ -19,7 +19,7 @@ struct DistributionParams {
     int px = 512;
     double min_height = 0, max_height = 100;
     int columns = 0;
-    bool labels = false;
+    bool seedlings = false, labels = false;
 
     static void describe(auto&& field)
     {
@@ -30,6 +30,9 @@ struct DistributionParams {
               "trees higher than this are left out");
         field("columns", &DistributionParams::columns, "", between(0, 100),
               "of several scenes: maps beside each other; 0: up to four");
+        field("seedlings", &DistributionParams::seedlings,
+              "also those of the last step, which no step has judged; statistics count without "
+              "them");
         field("labels", &DistributionParams::labels,
               "names of scenes, a scale bar and species with their numbers, below each map");
     }
@@ -124,6 +127,11 @@ public:
                                      true};
         return kInfo;
     }
+    std::vector<std::string> uses() override
+    {
+        if (params_.seedlings) return {};
+        return {"forest_trees"};
+    }
     ParamList params() override { return describe_params(params_); }
     void validate() override
     {
@@ -206,7 +214,10 @@ private:
                 throw InvalidInput(
                     "forest_instances has no height, cone_radius or species; it is not from "
                     "`sekitei forest`");
+            const std::vector<std::int64_t> young = seedlings_of(scene);
+            const auto* id = trees.values<std::int64_t>("id");
             for (std::size_t i = 0; i < trees.position.size(); ++i) {
+                if (id && std::binary_search(young.begin(), young.end(), (*id)[i])) continue;
                 const int s = (*species)[i];
                 if (s < 0 || s >= int(record.species.size()))
                     throw InvalidInput(
@@ -224,6 +235,17 @@ private:
         std::stable_sort(sheet.circles.begin(), sheet.circles.end(),
                          [](const Circle& a, const Circle& b) { return a.radius > b.radius; });
         return sheet;
+    }
+
+    /// Ids of those to leave out, ascending.
+    std::vector<std::int64_t> seedlings_of(const Scene& scene) const
+    {
+        std::vector<std::int64_t> ids;
+        if (params_.seedlings || !scene.points.contains("forest_trees")) return ids;
+        for (const forest::Tree& tree : forest_trees_of(scene))
+            if (tree.age == 0) ids.push_back(signed_bits(tree.uid));
+        std::sort(ids.begin(), ids.end());
+        return ids;
     }
 
     void draw(const Sheet& sheet, int left, int top, const StageContext& context)

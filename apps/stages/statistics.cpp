@@ -1,10 +1,8 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <charconv>
-#include <cmath>
 #include <functional>
-#include <optional>
+#include <map>
 #include <utility>
 
 #include "apps/forest.h"
@@ -140,7 +138,9 @@ struct PlotChoice {
               "temperature, humidity, theta, evaporation ...; of forests trees, births, deaths, "
               "to_3m, to_8m, to_12m, above, names of species ...; empty: cover, or trees");
         field("over", &PlotChoice::over,
-              "days or steps; or, of several forests, the density they grew with: their last rows");
+              "days or steps; or, of several forests, the density they grew with: their last rows, "
+              "means "
+              "where it is the same");
         field("width", &PlotChoice::width, "", between(300, 16384), "picture width in pixels");
         field("height", &PlotChoice::height, "", between(200, 16384), "picture height in pixels");
     }
@@ -175,24 +175,27 @@ public:
         names_ = split_names(params_.columns);
         if (names_.empty() && !params_.columns.empty())
             throw InvalidParameter("plot: columns: none; name at least one");
-        if (names_.empty()) names_ = {forest_ ? "trees" : "cover"};
+    }
+    void check_reading() override
+    {
         if (forest_) return;  // its species are in the scene
         if (params_.over == Over::Density)
             throw InvalidParameter("plot: over = density, which only forests have");
         std::vector<std::string> known;
         for (const Column& column : Statistics::columns()) known.push_back(column.name);
-        for (const std::string& name : names_)
+        for (const std::string& name : names())
             if (std::find(known.begin(), known.end(), name) == known.end()) {
                 const std::string near = nearest_name(name, known);
                 throw InvalidParameter(
                     fmt::format("plot: columns: there is no column '{}'{}", name,
                                 near.empty() ? "" : fmt::format(", did you mean '{}'?", near)));
             }
-        for (const std::string& name : names_)
-            if (unit_of(name) != unit_of(names_[0]))
+        const std::string first = names().front();
+        for (const std::string& name : names())
+            if (unit_of(name) != unit_of(first))
                 throw InvalidParameter(fmt::format(
-                    "plot: columns: {} is in {}, {} in {}; one plot has one axis, draw two",
-                    names_[0], unit_of(names_[0]).empty() ? "no unit" : unit_of(names_[0]), name,
+                    "plot: columns: {} is in {}, {} in {}; one plot has one axis, draw two", first,
+                    unit_of(first).empty() ? "no unit" : unit_of(first), name,
                     unit_of(name).empty() ? "no unit" : unit_of(name)));
     }
     Need estimate(SceneOutline&, const StageContext&) override { return {0, 1e8, 1e6}; }
@@ -221,17 +224,17 @@ public:
             }
             if (scenes.size() > 1 && params_.over == Over::Time)
                 for (std::size_t k = before; k < series.size(); ++k)
-                    series[k].name = name + (names_.size() > 1 ? " " + series[k].name : "");
+                    series[k].name = name + (names().size() > 1 ? " " + series[k].name : "");
         }
         if (params_.over == Over::Density)
-            for (render::Series& line : series) sort_by_x(line);
+            for (render::Series& line : series) join_equal_x(line);
         render::PlotParams plot;
         plot.width = params_.width;
         plot.height = params_.height;
         plot.x_name = params_.over == Over::Density ? "density" : forest_ ? "step" : "day";
-        const std::string unit = forest_ ? "" : unit_of(names_[0]);
-        plot.y_name = names_.size() == 1
-                          ? (unit.empty() ? names_[0] : fmt::format("{} [{}]", names_[0], unit))
+        const std::string unit = forest_ ? "" : unit_of(names()[0]);
+        plot.y_name = names().size() == 1
+                          ? (unit.empty() ? names()[0] : fmt::format("{} [{}]", names()[0], unit))
                           : unit;
         plot.from_zero = forest_;
         picture = render::plot(series, plot);
@@ -239,6 +242,10 @@ public:
     }
 
 private:
+    std::vector<std::string> names() const
+    {
+        return names_.empty() ? std::vector<std::string>{forest_ ? "trees" : "cover"} : names_;
+    }
     static std::string unit_of(const std::string& name)
     {
         for (const Column& column : Statistics::columns())
@@ -254,7 +261,7 @@ private:
             return statistics_column(points, name, "plot");
         };
         const auto &day = column("day"), &who = column("species");
-        for (const std::string& name : names_) {
+        for (const std::string& name : names()) {
             const auto& values = column(name);
             // What does not depend on the species is drawn once.
             const bool each = name == "living" || name == "seeds" || name == "germinated" ||
@@ -263,8 +270,8 @@ private:
             for (int s = -1; s < int(species.size()); ++s) {
                 render::Series line;
                 line.name = each && s >= 0
-                                ? (names_.size() > 1 ? species[std::size_t(s)] + " " + name
-                                                     : species[std::size_t(s)])
+                                ? (names().size() > 1 ? species[std::size_t(s)] + " " + name
+                                                      : species[std::size_t(s)])
                                 : name;
                 for (std::size_t r = 0; r < day.size(); ++r)
                     if (who[r] == s) {
@@ -282,7 +289,7 @@ private:
     {
         const std::vector<forest::StepStatistics> rows = forest_growth_of(scene);
         const ForestColumns columns(forest_record(scene).species);
-        for (const std::string& name : names_) {
+        for (const std::string& name : names()) {
             render::Series line;
             line.name = name;
             for (const forest::StepStatistics& row : rows) {
@@ -297,23 +304,31 @@ private:
     void add_density(std::vector<render::Series>& series, const Scene& scene) const
     {
         if (series.empty())
-            for (const std::string& name : names_) series.push_back({name, {}, {}});
+            for (const std::string& name : names()) series.push_back({name, {}, {}});
         const std::vector<forest::StepStatistics> rows = forest_growth_of(scene);
         if (rows.empty()) throw InvalidInput("its forest has not grown a step");
         const ForestColumns columns(forest_record(scene).species);
         const double density = forest_density(scene);
-        for (std::size_t k = 0; k < names_.size(); ++k) {
+        for (std::size_t k = 0; k < names().size(); ++k) {
             series[k].x.push_back(density);
-            series[k].y.push_back(columns.of(names_[k])(rows.back()));
+            series[k].y.push_back(columns.of(names()[k])(rows.back()));
         }
     }
 
-    static void sort_by_x(render::Series& line)
+    /// Orders the points; of those with equal x remains the mean.
+    static void join_equal_x(render::Series& line)
     {
-        std::vector<std::pair<double, double>> points;
-        for (std::size_t i = 0; i < line.x.size(); ++i) points.emplace_back(line.x[i], line.y[i]);
-        std::sort(points.begin(), points.end());
-        for (std::size_t i = 0; i < points.size(); ++i) std::tie(line.x[i], line.y[i]) = points[i];
+        std::map<double, std::pair<double, double>> sums;  // and counts
+        for (std::size_t i = 0; i < line.x.size(); ++i) {
+            sums[line.x[i]].first += line.y[i];
+            sums[line.x[i]].second += 1;
+        }
+        line.x.clear();
+        line.y.clear();
+        for (const auto& [x, sum] : sums) {
+            line.x.push_back(x);
+            line.y.push_back(sum.first / sum.second);
+        }
     }
 
     PlotChoice params_;

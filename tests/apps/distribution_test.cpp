@@ -121,6 +121,25 @@ TEST(Distribution, ShowsOneLayer)
     EXPECT_NE(at(image, 200, 100), kWhite);
 }
 
+TEST(Distribution, SeedlingsOfTheLastStepAreShownOnlyIfAskedFor)
+{
+    Scene scene = forest_of({{50, 50, 1, 0}, {150, 50, 1, 0}});
+    scene.points["forest_instances"].attributes["id"] = std::vector<std::int64_t>{7, -9};
+    std::vector<forest::Tree> trees(2);
+    trees[0].uid = unsigned_bits(-9);
+    trees[1].uid = 7;
+    trees[1].age = 1;
+    put_forest_trees(scene, trees);
+    for (const bool shown : {false, true}) {
+        const auto stage = make_distribution();
+        find_param(stage->params(), "seedlings")->set(shown);
+        stage->validate();
+        stage->run(scene, {});
+        EXPECT_NE(at(stage->picture, 128, 128), kWhite);
+        EXPECT_EQ(at(stage->picture, 384, 128) == kWhite, !shown);
+    }
+}
+
 TEST(Distribution, AnEmptyForestIsWhite)
 {
     const Image8 image = drawn({});

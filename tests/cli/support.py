@@ -28,7 +28,8 @@ INTERRUPTED, TERMINATED = 130, 143
 ROCK = ["lava", "cool", "joint", "weather", "mesh"]
 HABITAT = ["lantern", "light", "wind", "soil", "moss"]
 TREES = ["tree", "sketch"]
-STAGES = [*ROCK, *HABITAT, *TREES, "render", "statistics", "plot", "compare", "export"]
+FOREST = ["forest", "distribution"]
+STAGES = [*ROCK, *HABITAT, *TREES, *FOREST, "render", "statistics", "plot", "compare", "export"]
 TOOLS = ["run", "check", "info", "replay", "diff", "explain", "verify", "schema", "specimens", "tufts", "completions"]
 # Values of parameters that a stage cannot do without, as in recipes; spring_weather() makes the file.
 REQUIRED = {"light": {"weather": "days.csv"}}
@@ -102,7 +103,7 @@ def spring_weather(days=70):
 
 def tables_before(stage):
     """The text of a recipe up to the table of `stage`, whose own keys may follow."""
-    chain = ROCK if stage in (*ROCK, "render") else TREES if stage in TREES else HABITAT
+    chain = ROCK if stage in (*ROCK, "render") else TREES if stage in TREES else FOREST if stage in FOREST else HABITAT
     names = chain[:chain.index(stage)] if stage in chain else chain
     return "".join(f"[{name}]\n" + "".join(f'{k} = "{v}"\n' for k, v in REQUIRED.get(name, {}).items()) for name in names) + (
         f'[{stage}]\n' + ('from = ["soil", "moss"]\n' if stage == "compare" else ""))
