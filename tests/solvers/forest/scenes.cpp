@@ -153,7 +153,10 @@ void half_a_kilometre(const Seeds& seeds)
     for (const std::uint64_t seed : seeds) {
         SCOPED_TRACE(fmt::format("seed {}", seed));
         // R1, figures 5.1 and 5.4
-        const Run one = grown(sown(setup(512, seed)), 60);
+        std::vector<Tree> settled;
+        const Run one = grown(sown(setup(512, seed)), 60, [&](int n, const Forest& forest) {
+            if (n == 50) settled = judged(forest);
+        });
         const double n40 = one.trees_at(40), n50 = one.trees_at(50);
         EXPECT_LE(std::abs(n50 - n40) / n50, 0.05);
         EXPECT_LE(std::abs(one.tall_at(50) - one.tall_at(40)) / one.tall_at(50), 0.02);
@@ -178,7 +181,7 @@ void half_a_kilometre(const Seeds& seeds)
                 EXPECT_LT(row.of_class(k), row.of_class(k - 1));
             }
         }
-        const double under = sheltered(one.trees, 512);
+        const double under = sheltered(settled, 512);
         EXPECT_GE(under, 1000);
         say("R2 seed {}: classes {} {} {} {}, {:.0f} small ones under tall ones per ha\n", seed,
             row.of_class(0), row.of_class(1), row.of_class(2), row.of_class(3), under);
@@ -186,8 +189,9 @@ void half_a_kilometre(const Seeds& seeds)
         // R3, figure 5.5
         Inputs thin = setup(512, seed);
         thin.density = uniform(thin, 0.4);
-        const Run less = grown(sown(std::move(thin)), 50);
-        const double tall = less.tall_at(50) / one.tall_at(50), all = less.trees_at(50) / n50;
+        const Run less = grown(sown(std::move(thin)), 60);
+        const double tall = less.tall_at(60) / one.tall_at(60),
+                     all = less.trees_at(60) / one.trees_at(60);
         EXPECT_GE(tall, 0.35);
         EXPECT_LE(tall, 0.65);
         EXPECT_GE(all, 0.75);
