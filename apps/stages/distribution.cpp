@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
+#include <utility>
 
 #include "apps/forest.h"
 #include "apps/render/text.h"
@@ -15,8 +15,23 @@ namespace {
 
 using render::Rgb;
 
+enum class View { Top, Side };
+constexpr std::array<std::string_view, 2> choice_names(View)
+{
+    return {"top", "side"};
+}
+/// What lies over what where circles meet.
+enum class Above { Small, Large };
+constexpr std::array<std::string_view, 2> choice_names(Above)
+{
+    return {"small", "large"};
+}
+
 struct DistributionParams {
     int px = 512;
+    View view = View::Top;
+    Above above = Above::Small;
+    std::vector<double> window;
     double min_height = 0, max_height = 100;
     int columns = 0;
     bool seedlings = false, labels = false;
@@ -24,6 +39,12 @@ struct DistributionParams {
     static void describe(auto&& field)
     {
         field("px", &DistributionParams::px, "", between(16, 16384), "width of a map in pixels");
+        field("view", &DistributionParams::view,
+              "from above, or a section from the south: the spaces that trees claim");
+        field("above", &DistributionParams::above,
+              "small trees over large ones, so that all are seen, or as birds see them");
+        field("window", &DistributionParams::window, "m", kAny,
+              "west, south, east and north of the part that is drawn; empty: all");
         field("min_height", &DistributionParams::min_height, "m", kNotNegative,
               "trees lower than this are left out");
         field("max_height", &DistributionParams::max_height, "m", kPositive,
@@ -74,42 +95,82 @@ public:
             const double dy = j + 0.5 - cy, chord = reach * reach - dy * dy;
             if (chord <= 0) continue;
             const double wide = std::sqrt(chord);
-            const int from = std::max(0, int(std::floor(cx - wide))),
-                      to = std::min(width_ - 1, int(std::ceil(cx + wide)));
-            for (int i = from; i <= to; ++i) {
-                const double dx = i + 0.5 - cx, d = std::sqrt(dx * dx + dy * dy);
-                const double cover = ink * std::clamp(r + 0.5 - d, 0.0, 1.0);
-                if (cover <= 0) continue;
-                // The rim lies inside the circle.
-                const double dark =
-                    1 - rim * std::clamp(half + 0.5 - std::abs(d - (r - half)), 0.0, 1.0);
-                std::uint8_t* pixel = &image_.at(left_ + i, top_ + j);
-                for (std::size_t c = 0; c < 3; ++c)
-                    pixel[c] = static_cast<std::uint8_t>(pixel[c] * (1 - cover) +
-                                                         colour[int(c)] * dark * cover + 0.5);
-            }
+            row(j, cx - wide, cx + wide, colour, [&](double at) {
+                const double dx = at - cx, inside = r - std::sqrt(dx * dx + dy * dy);
+                return std::pair(ink * inside_share(inside), rim * rim_share(inside, half));
+            });
         }
     }
-    int height() const { return height_; }
+
+    /// Draws the space of a tree from the side, half transparent.
+    /// @param foot  height of its foot above the lower edge [m]
+    void cone(double x, double foot, double height, double radius, forest::Orientation orientation,
+              Rgb colour, int y0, int y1)
+    {
+        const double cx = x * scale_, base = height_ - foot * scale_, top = base - height * scale_,
+                     wide = radius * scale_, high = height * scale_;
+        const double upright = high / std::sqrt(high * high + wide * wide),
+                     half = std::clamp(wide * 0.04, 0.5, 1.5);
+        const int first = std::max(y0, int(std::floor(top - 1))),
+                  last = std::min(y1 - 1, int(std::ceil(base)));
+        for (int j = first; j <= last; ++j) {
+            const double y = j + 0.5, up = std::clamp((base - y) / high, 0.0, 1.0);
+            const bool flat = orientation == forest::Orientation::Flat;
+            const double edge = wide * (flat                                          ? 1
+                                        : orientation == forest::Orientation::Upright ? 1 - up
+                                                                                      : up);
+            row(j, cx - edge - 2, cx + edge + 2, colour, [&](double at) {
+                const double inside = std::min(
+                    {(edge - std::abs(at - cx)) * (flat ? 1 : upright), y - top, base - y});
+                const double trunk = std::clamp(half + 0.5 - std::abs(at - cx), 0.0, 1.0);
+                return std::pair(0.7 * inside_share(inside),
+                                 std::max(0.6 * rim_share(inside, half), 0.7 * trunk));
+            });
+        }
+    }
 
 private:
+    static double inside_share(double inside) { return std::clamp(inside + 0.5, 0.0, 1.0); }
+    /// The rim lies inside the edge.
+    static double rim_share(double inside, double half)
+    {
+        return std::clamp(half + 0.5 - std::abs(inside - half), 0.0, 1.0);
+    }
+
+    /// Blends pixels of one row; `ink` gives how much of a pixel is covered and how dark.
+    template <class F>
+    void row(int j, double from, double to, Rgb colour, F&& ink)
+    {
+        const int last = std::min(width_ - 1, int(std::ceil(to)));
+        for (int i = std::max(0, int(std::floor(from))); i <= last; ++i) {
+            const auto [cover, dark] = ink(i + 0.5);
+            if (cover <= 0) continue;
+            std::uint8_t* pixel = &image_.at(left_ + i, top_ + j);
+            for (std::size_t c = 0; c < 3; ++c)
+                pixel[c] = static_cast<std::uint8_t>(pixel[c] * (1 - cover) +
+                                                     colour[int(c)] * (1 - dark) * cover + 0.5);
+        }
+    }
+
     Image8& image_;
     int left_, top_, width_, height_;
     double scale_;  // pixels a metre
 };
 
 struct Circle {
-    float x, y, radius;
+    float x, y, radius;  ///< from the window's south-western corner
+    float foot, height;
     int species;
 };
 
 /// What is drawn of one scene.
 struct Sheet {
     std::string name;
-    double width = 0, depth = 0;  // [m]
+    double width = 0, depth = 0;  // of the window; of a section: its height [m]
+    forest::Orientation orientation{};
     std::vector<forest::Species> species;
     std::vector<std::size_t> counts;  // by species
-    std::vector<Circle> circles;      // large to small
+    std::vector<Circle> circles;      // in the order they are drawn
 };
 
 class DistributionStage : public Stage {
@@ -118,8 +179,8 @@ public:
     {
         static const StageInfo kInfo{"distribution",
                                      "1",
-                                     "draw a forest from above: each tree a circle as wide as its "
-                                     "cone, in the colour of its species",
+                                     "draw a forest from above, each tree a circle as wide as its "
+                                     "cone in the colour of its species, or a section through it",
                                      OutputKind::Picture,
                                      true,
                                      {"forest_instances", "canopy_height"},
@@ -140,6 +201,11 @@ public:
             throw InvalidParameter(
                 fmt::format("distribution: min_height = {} m, must be at most max_height = {} m",
                             params_.min_height, params_.max_height));
+        const auto& w = params_.window;
+        if (!w.empty() && (w.size() != 4 || !(w[0] < w[2]) || !(w[1] < w[3])))
+            throw InvalidParameter(
+                "distribution: window: must be west, south, east and north in metres, west < east "
+                "and south < north");
     }
     Need estimate(SceneOutline&, const StageContext&) override
     {
@@ -166,7 +232,7 @@ public:
             high = std::max(high, height_of(sheet));
             kinds = std::max(kinds, sheet.species.size());
         }
-        const int words = params_.labels ? line * (2 + int(kinds + 2) / 3) : 0;
+        const int words = params_.labels ? line * (1 + int(kinds + 2) / 3) + 4 * text : 0;
         const int rows = (count + across - 1) / across;
         const int width = across * (params_.px + gap) + gap,
                   height = rows * (high + words + gap) + gap;
@@ -184,7 +250,7 @@ public:
                       top = gap + k / across * (high + words + gap);
             draw(sheet, left, top, context);
             if (params_.labels) label(sheet, left, top + height_of(sheet), text, line);
-            drawn += sheet.circles.size();
+            for (const std::size_t n : sheet.counts) drawn += n;
             context.progress.update(double(k + 1) / count);
         }
         return {{"trees", drawn}, {"width", picture.width}, {"height", picture.height}};
@@ -202,8 +268,12 @@ private:
         sheet.name = name;
         try {
             const ForestRecord record = forest_record(scene);
-            sheet.width = record.width;
-            sheet.depth = record.depth;
+            const std::vector<double> window =
+                params_.window.empty() ? std::vector<double>{0, 0, record.width, record.depth}
+                                       : params_.window;
+            sheet.width = window[2] - window[0];
+            sheet.depth = window[3] - window[1];
+            sheet.orientation = record.params.orientation;
             sheet.species = record.species;
             sheet.counts.resize(record.species.size());
             const Points& trees = scene.points_of("forest_instances");
@@ -225,15 +295,37 @@ private:
                                     s, record.species.size()));
                 const double h = double((*height)[i]);
                 if (!(h >= params_.min_height && h <= params_.max_height)) continue;
-                ++sheet.counts[std::size_t(s)];
-                const Vec3d at = trees.position[i] - record.corner;
-                sheet.circles.push_back({float(at.x), float(at.y), (*radius)[i], s});
+                const Vec3d at = trees.position[i] - record.corner - Vec3d(window[0], window[1], 0);
+                const double r = double((*radius)[i]);
+                const bool stands =
+                    at.x >= 0 && at.x < sheet.width && at.y >= 0 && at.y < sheet.depth;
+                sheet.counts[std::size_t(s)] += stands;
+                const bool seen =
+                    params_.view == View::Side
+                        ? at.x > -r && at.x < sheet.width + r && at.y >= 0 && at.y < sheet.depth
+                        : at.x > -r && at.x < sheet.width + r && at.y > -r &&
+                              at.y < sheet.depth + r;
+                if (seen)
+                    sheet.circles.push_back(
+                        {float(at.x), float(at.y), (*radius)[i], float(at.z), float(h), s});
+            }
+            if (params_.view == View::Side) {
+                float low = 0, high = 1;
+                for (std::size_t k = 0; k < sheet.circles.size(); ++k) {
+                    const Circle& c = sheet.circles[k];
+                    low = k == 0 ? c.foot : std::min(low, c.foot);
+                    high = k == 0 ? c.foot + c.height : std::max(high, c.foot + c.height);
+                }
+                for (Circle& c : sheet.circles) c.foot -= low;
+                sheet.depth = double(high - low) + 1;
             }
         } catch (const InvalidInput& error) {
             throw named_after(name, error);
         }
-        std::stable_sort(sheet.circles.begin(), sheet.circles.end(),
-                         [](const Circle& a, const Circle& b) { return a.radius > b.radius; });
+        std::stable_sort(
+            sheet.circles.begin(), sheet.circles.end(), [&](const Circle& a, const Circle& b) {
+                return params_.above == Above::Small ? a.radius > b.radius : a.radius < b.radius;
+            });
         return sheet;
     }
 
@@ -263,6 +355,12 @@ private:
             context.progress.check();
             const int y0 = int(band) * kBand, y1 = std::min(high, y0 + kBand);
             const double north = (high - y0 + 1) / scale, south = (high - y1 - 1) / scale;
+            if (params_.view == View::Side) {
+                for (const Circle& c : sheet.circles)
+                    map.cone(double(c.x), double(c.foot), double(c.height), double(c.radius),
+                             sheet.orientation, colours[std::size_t(c.species)], y0, y1);
+                return;
+            }
             for (const Circle& c : sheet.circles)
                 if (double(c.y + c.radius) > south && double(c.y - c.radius) < north)
                     map.disc(double(c.x), double(c.y), double(c.radius),

@@ -235,7 +235,8 @@ public:
         const std::string unit = forest_ ? "" : unit_of(names()[0]);
         plot.y_name = names().size() == 1
                           ? (unit.empty() ? names()[0] : fmt::format("{} [{}]", names()[0], unit))
-                          : unit;
+                      : forest_ ? "trees"
+                                : unit;
         plot.from_zero = forest_;
         picture = render::plot(series, plot);
         return {{"lines", series.size()}};

@@ -140,6 +140,44 @@ TEST(Distribution, SeedlingsOfTheLastStepAreShownOnlyIfAskedFor)
     }
 }
 
+TEST(Distribution, ASectionShowsTheConesOfAStrip)
+{
+    const std::vector<Stem> stems{{50, 10, 20, 0}, {100, 30, 20, 1}};
+    const Image8 image =
+        drawn(stems, {{"px", 400}, {"view", "side"}, {"window", {40.0, 0.0, 80.0, 20.0}}});
+    EXPECT_EQ(image.width, 400);
+    EXPECT_EQ(image.height, 210);  // 20 m and 1 m of sky, 10 pixels a metre
+    // Half as wide at half its height, apex at the foot; the other one stands behind the strip.
+    const double r = 20 * forest::slope_of(forest::table_species()[0], {});
+    EXPECT_NE(at(image, int(100 + 9 * r), 15), kWhite);
+    EXPECT_EQ(at(image, int(100 + 9 * r), 110), kWhite);
+    EXPECT_NE(at(image, int(100 + 4.5 * r), 110), kWhite);
+    EXPECT_EQ(at(image, int(100 + 4.5 * r), 200), kWhite);
+    EXPECT_EQ(at(image, 330, 100), kWhite);
+    EXPECT_EQ(at(image, 100, 5), kWhite);
+}
+
+TEST(Distribution, AWindowIsDrawnLarger)
+{
+    const Image8 image =
+        drawn({{50, 50, 20, 0}}, {{"px", 400}, {"window", {40.0, 40.0, 80.0, 80.0}}});
+    EXPECT_EQ(image.height, 400);
+    EXPECT_EQ(at(image, 100, 300), kGreen);
+    EXPECT_EQ(at(image, 300, 100), kWhite);
+    EXPECT_THAT(
+        [] {
+            drawn({}, {{"window", {1.0, 2.0, 1.0, 4.0}}});
+        },
+        ThrowsMessage<InvalidParameter>(HasSubstr("west < east")));
+}
+
+TEST(Distribution, BirdsSeeTallTreesOverSmallOnes)
+{
+    const Image8 image =
+        drawn({{60, 50, 20, 0}, {62, 50, 5, 1}}, {{"px", 800}, {"above", "large"}});
+    EXPECT_EQ(at(image, 248, 200), kGreen);
+}
+
 TEST(Distribution, AnEmptyForestIsWhite)
 {
     const Image8 image = drawn({});
