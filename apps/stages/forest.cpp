@@ -50,6 +50,7 @@ struct ForestParams {
     int every = 0, sequence = 0;
     bool canopy = true, occupancy = false;
     double extinction = 0.5, drag = 0.2;
+    std::optional<Vec3d> sun;
     std::string heroes;
     int variants = 3;
     std::vector<double> ages{12, 22, 40};
@@ -103,11 +104,15 @@ struct ForestParams {
         field("canopy", &ForestParams::canopy,
               "leaves as fog, for light, wind and moss: canopy_lad and its kin");
         field("occupancy", &ForestParams::occupancy,
-              "the space of every tree as the grid forest_occupancy, the maps as forest_density");
+              "the space of every tree as the grid forest_occupancy, which holds its rank, the "
+              "attribute `rank` of forest_trees; and the maps as forest_density");
         field("extinction", &ForestParams::extinction, "", between(0, 10),
               "with canopy: share of a leaf area that is its shadow");
         field("drag", &ForestParams::drag, "", between(0, 10),
               "with canopy: drag coefficient of leaves");
+        field("sun", &ForestParams::sun, "", kAny,
+              "with canopy: x,y,z towards the sun, along which canopy_transmittance is worked out; "
+              "auto: upwards");
         field("heroes", &ForestParams::heroes,
               "trees that the tree stage is to grow in place: the nearest to each x,y of the "
               "world; several separated by ';'");
@@ -296,6 +301,7 @@ public:
             inputs.params.spread_mode = forest::SpreadMode::ApexAngle;
             forest::validate(inputs);
         }
+        forest::validate(canopy_params());
         map_words("density", params_.density, false);
         map_words("environment", params_.environment, true);
         map_words("plantable", params_.plantable, false);
@@ -343,7 +349,7 @@ public:
                         "without windthrow");
         if (!params_.temperature) warn_unused(*this, {"lapse_rate"}, "without temperature");
         if (!params_.canopy)
-            warn_unused(*this, {"occupancy", "extinction", "drag"}, "without canopy");
+            warn_unused(*this, {"occupancy", "extinction", "drag", "sun"}, "without canopy");
     }
 
     void check_files(const StageContext& context) override { read_inputs(context); }
@@ -382,6 +388,15 @@ private:
         inputs.depth = depth;
         inputs.params = solver_;
         return inputs;
+    }
+    forest::CanopyParams canopy_params() const
+    {
+        forest::CanopyParams params;
+        params.extinction = params_.extinction;
+        params.drag = params_.drag;
+        params.sun = params_.sun;
+        params.occupancy = params_.occupancy;
+        return params;
     }
     std::vector<int> model_ages() const { return {params_.ages.begin(), params_.ages.end()}; }
     ForestFrame frame() const
@@ -474,10 +489,8 @@ private:
                      tile = double(solver_.tile) * solver_.pixel;
         const double maps = inputs.width * inputs.depth / (solver_.pixel * solver_.pixel) * 2;
         if (params_.out_of_core.empty()) {
-            forest::CanopyParams canopy;
-            canopy.occupancy = params_.occupancy;
             return 1e8 + maps + trees * kBytesPerTree +
-                   (params_.canopy ? forest::canopy_memory(inputs, canopy) : 0.0);
+                   (params_.canopy ? forest::canopy_memory(inputs, canopy_params()) : 0.0);
         }
         // A few rows of tiles, and one as bytes.
         return 1e8 + maps + 6 * inputs.width * tile * kTreesPerArea * 60;
@@ -640,9 +653,10 @@ private:
     {
         Json values = params_json(params());
         for (const char* free :
-             {"steps", "instances", "fallen", "out_of_core", "window", "edit_log", "canopy",
-              "occupancy", "extinction", "drag", "heroes", "variants", "ages", "every", "sequence",
-              "watch_maps", "step_seconds", "corner", "max_trees"})
+             {"steps",    "instances",  "fallen",       "out_of_core", "window",
+              "edit_log", "canopy",     "occupancy",    "extinction",  "drag",
+              "sun",      "heroes",     "variants",     "ages",        "every",
+              "sequence", "watch_maps", "step_seconds", "corner",      "max_trees"})
             values.erase(free);
         values["seed"] = context.seed;
         const Json hashes = input_hashes(*this, context);
@@ -856,16 +870,14 @@ private:
             put_list("forest_heroes", heroes);
         }
         put_forest_trees(scene, trees);
+        if (params_.canopy && params_.occupancy)
+            scene.points.at("forest_trees").attributes["rank"] = ranks_of(trees);
         put_history(scene, growth, fallen);
 
         FloatGrid height;
         if (params_.canopy) {
-            forest::CanopyParams params;
-            params.extinction = params_.extinction;
-            params.drag = params_.drag;
-            params.occupancy = params_.occupancy;
             forest::Canopy fields = forest::canopy(
-                forest, params, corner,
+                forest, canopy_params(), corner,
                 heroes.empty() ? std::function<bool(const forest::Tree&)>{} : is_hero,
                 progress.slice(0.2, 1));
             using enum GridClass;
@@ -885,6 +897,20 @@ private:
             height = std::move(fields.height);
         }
         put_settings(scene, record_of(forest, corner), std::move(height));
+    }
+
+    /// What `forest_occupancy` calls each tree: 1 for the biggest.
+    static std::vector<std::int32_t> ranks_of(const std::vector<forest::Tree>& trees)
+    {
+        std::vector<std::uint32_t> order(trees.size());
+        for (std::size_t k = 0; k < order.size(); ++k) order[k] = static_cast<std::uint32_t>(k);
+        std::ranges::sort(order, [&](std::uint32_t a, std::uint32_t b) {
+            return forest::bigger(trees[a], trees[b]);
+        });
+        std::vector<std::int32_t> ranks(trees.size());
+        for (std::size_t k = 0; k < order.size(); ++k)
+            ranks[order[k]] = static_cast<std::int32_t>(k + 1);
+        return ranks;
     }
 
     /// i0, i1, j0, j1.
@@ -938,7 +964,7 @@ private:
         });
         check_memory("forest",
                      double(trees.size()) * kBytesPerTree +
-                         (params_.canopy ? forest::canopy_memory(inputs, {}) : 0.0),
+                         (params_.canopy ? forest::canopy_memory(inputs, canopy_params()) : 0.0),
                      context.memory_limit, "make the window smaller");
         Forest part(std::move(inputs));
         part.resume(forest.step(), std::move(trees));
