@@ -602,11 +602,11 @@ private:
             growth.push_back(forest.advance(growing.slice(1, 1)));
             tell(growth.back());
             growing.update(double(forest.step() - first) / double(params_.steps - first));
-            if (double(forest.size()) > solver_.max_trees) {
+            if (double(growth.back().trees) > solver_.max_trees) {
                 stopped = fmt::format(
                     "forest: {} trees after step {}, the limit is max_trees = {:.0f}; the scene is "
                     "that of this step",
-                    forest.size(), forest.step(), solver_.max_trees);
+                    growth.back().trees, forest.step(), solver_.max_trees);
                 break;
             }
             if (every > 0 && context.frame &&
@@ -694,11 +694,11 @@ private:
             state.step = forest.step();
             state.fallen = all(before, forest);
             folder.keep(state);
-            if (double(forest.size()) > solver_.max_trees) {
+            if (double(state.growth.back().trees) > solver_.max_trees) {
                 stopped = fmt::format(
                     "forest: {} trees after step {}, the limit is max_trees = {:.0f}; the folder "
                     "holds this step",
-                    forest.size(), forest.step(), solver_.max_trees);
+                    state.growth.back().trees, forest.step(), solver_.max_trees);
                 break;
             }
         }

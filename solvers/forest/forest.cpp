@@ -210,21 +210,31 @@ void Forest::add(const Tree& tree)
 
 std::uint64_t Forest::sow(const std::vector<std::uint64_t>& counts)
 {
+    auto tree_at = [&](std::size_t s, std::uint64_t i) {
+        Tree tree;
+        tree.uid = hash2(inputs_.seed, ((s + 1) << 32) + i);
+        tree.x = inputs_.width * uniform_of_key(tree.uid, 0);
+        tree.y = inputs_.depth * uniform_of_key(tree.uid, 1);
+        const double most = std::min(3.0, inputs_.species[s].max_height);
+        tree.height = 1 + uniform_of_key(tree.uid, 2) * (most - 1);
+        tree.species = static_cast<std::uint8_t>(s);
+        return tree;
+    };
+    auto each = [&](auto&& f) {
+        for (std::size_t s = 0; s < counts.size() && s < inputs_.species.size(); ++s)
+            for (std::uint64_t i = 0; i < counts[s]; ++i) f(tree_at(s, i));
+    };
+    // Tiles that grow tree by tree would leave memory in pieces.
+    std::vector<std::size_t> room(tile_.size(), 0);
+    each([&](const Tree& tree) { ++room[std::size_t(tile_of(tree.x, tree.y))]; });
+    for (std::size_t t = 0; t < tile_.size(); ++t) tile_[t].reserve(tile_[t].size() + room[t]);
     std::uint64_t left_out = 0;
-    for (std::size_t s = 0; s < counts.size() && s < inputs_.species.size(); ++s)
-        for (std::uint64_t i = 0; i < counts[s]; ++i) {
-            Tree tree;
-            tree.uid = hash2(inputs_.seed, ((s + 1) << 32) + i);
-            tree.x = inputs_.width * uniform_of_key(tree.uid, 0);
-            tree.y = inputs_.depth * uniform_of_key(tree.uid, 1);
-            const double most = std::min(3.0, inputs_.species[s].max_height);
-            tree.height = 1 + uniform_of_key(tree.uid, 2) * (most - 1);
-            tree.species = static_cast<std::uint8_t>(s);
-            if (inputs_.land.admits(int(s), pixel_of(tree.x, nx_), pixel_of(tree.y, ny_)))
-                add(tree);
-            else
-                ++left_out;
-        }
+    each([&](const Tree& tree) {
+        if (inputs_.land.admits(tree.species, pixel_of(tree.x, nx_), pixel_of(tree.y, ny_)))
+            add(tree);
+        else
+            ++left_out;
+    });
     return left_out;
 }
 
