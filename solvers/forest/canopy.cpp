@@ -25,25 +25,19 @@ int floor_div(int a)
 /// The ground of each pixel in whole voxels.
 class Ground {
 public:
-    explicit Ground(const Land& land) : land_(land) {}
+    Ground(const Land& land, int nx, int ny) : land_(land), nx_(nx), ny_(ny) {}
+    /// Outside the domain that of the nearest pixel.
     int operator()(int i, int j) const
     {
-        return land_.flat() ? 0 : int(std::lround(land_.height(i, j) / kPixel));
-    }
-    /// Of the 8 x 8 pixels of a column of leaves, within the domain.
-    int lowest(int ci, int cj, int nx, int ny) const
-    {
         if (land_.flat()) return 0;
-        int low = std::numeric_limits<int>::max();
-        for (int j = 8 * cj; j < std::min(8 * cj + 8, ny); ++j)
-            for (int i = 8 * ci; i < std::min(8 * ci + 8, nx); ++i)
-                low = std::min(low, (*this)(i, j));
-        return low;
+        return int(std::lround(land_.height(std::clamp(i, 0, nx_ - 1), std::clamp(j, 0, ny_ - 1)) /
+                               kPixel));
     }
 
 private:
     static constexpr double kPixel = 1;
     const Land& land_;
+    int nx_, ny_;
 };
 
 /// Leaves by columns of 8 x 8 pixels: those of a column lie one upon another.
@@ -258,41 +252,13 @@ void put_trees(Canopy& canopy, const Forest& forest, const Ground& ground, const
     });
 }
 
-/// Light from straight above.
-void shade_from_above(Canopy& canopy, const Columns& columns, const Ground& ground, int nx, int ny,
-                      double extinction)
+/// The lowest ground of a column of 8 x 8 pixels.
+int lowest_ground(const std::function<int(int, int)>& ground, int ci, int cj)
 {
-    FloatGrid &through = canopy.transmittance, &bottom = canopy.ground_transmittance;
-    parallel_for(
-        columns.filled().size(),
-        [&](std::size_t n) {
-            const std::size_t place = columns.filled()[n];
-            const Columns::Column& column = columns.column(place);
-            const Coord at = columns.corner(place);
-            float* level = bottom.values(bottom.topology()->find(at));
-            for (int i = at.x; i < std::min(at.x + 8, nx); ++i)
-                for (int j = at.y; j < std::min(at.y + 8, ny); ++j) {
-                    const int low = ground(i, j) + 1, across = leaf_offset({i, j, 0});
-                    double depth = 0;
-                    float below = 1;  // a voxel without leaves is as bright as its lower neighbour
-                    for (int z = 8 * (column.low + column.count) - 1; z >= low; --z) {
-                        const std::size_t leaf =
-                            column.first + std::size_t(floor_div(z) - column.low);
-                        const double lad =
-                            double(canopy.leaf_area_density.values(leaf)[across | (z & 7)]);
-                        float here = below;
-                        if (lad > 0) {
-                            here = static_cast<float>(
-                                math::inline_exp(-extinction * (depth + lad / 2)));
-                            depth += lad;
-                            below = static_cast<float>(math::inline_exp(-extinction * depth));
-                        }
-                        through.values(leaf)[across | (z & 7)] = here;
-                    }
-                    level[across] = below;
-                }
-        },
-        4);
+    int low = std::numeric_limits<int>::max();
+    for (int j = 8 * cj; j < 8 * cj + 8; ++j)
+        for (int i = 8 * ci; i < 8 * ci + 8; ++i) low = std::min(low, ground(i, j));
+    return low;
 }
 
 /// The leaf area along rays towards the sun, in cubes of one voxel.
@@ -356,7 +322,7 @@ TopologyPtr shadowed(const FloatGrid& lad, const Columns& columns, const Ground&
     const int across = (nx + 7) / 8, deep = (ny + 7) / 8;
     std::vector<int> low(std::size_t(across) * std::size_t(deep));
     parallel_for(low.size(), [&](std::size_t place) {
-        low[place] = floor_div(ground.lowest(int(place) % across, int(place) / across, nx, ny) + 1);
+        low[place] = floor_div(lowest_ground(ground, int(place) % across, int(place) / across) + 1);
     });
     const int lowest = *std::min_element(low.begin(), low.end()), highest = columns.top() / 8;
     std::vector<std::uint8_t> marked(low.size() * std::size_t(std::max(0, highest - lowest)));
@@ -523,7 +489,7 @@ Canopy canopy(const Forest& forest, const CanopyParams& params, Vec3d corner,
             "cubes, and slices are 1 m apart",
             pixel));
     const int nx = inputs.pixels_x(), ny = inputs.pixels_y();
-    const Ground ground(inputs.land);
+    const Ground ground(inputs.land, nx, ny);
     const Columns columns = columns_of(forest, ground, progress.slice(0, 0.2));
     progress.update(0.2);
 
@@ -539,9 +505,9 @@ Canopy canopy(const Forest& forest, const CanopyParams& params, Vec3d corner,
     const bool from_above =
         !params.sun || (params.sun->x == 0 && params.sun->y == 0) || columns.filled().empty();
     if (from_above) {
-        canopy.transmittance = filled_grid<float>(columns.topology(), volume, 1);
-        canopy.ground_transmittance = filled_grid<float>(canopy.height.topology(), layer, 1);
-        shade_from_above(canopy, columns, ground, nx, ny, params.extinction);
+        Shade shade = shade_of(canopy.leaf_area_density, ground, params.extinction);
+        canopy.transmittance = std::move(shade.transmittance);
+        canopy.ground_transmittance = std::move(shade.ground_transmittance);
     } else {
         const Vec3d sun = normalized(*params.sun);
         const bool wrap = inputs.params.border == Border::Wrap;
@@ -552,6 +518,8 @@ Canopy canopy(const Forest& forest, const CanopyParams& params, Vec3d corner,
         shade_from_sun(canopy,
                        {canopy.leaf_area_density, columns, sun, nx, ny, wrap, params.extinction},
                        lit, ground, nx, ny, progress.slice(0.5, 0.8));
+        activate(canopy.transmittance);
+        activate(canopy.ground_transmittance);
     }
     progress.update(0.8);
 
@@ -575,9 +543,7 @@ Canopy canopy(const Forest& forest, const CanopyParams& params, Vec3d corner,
         },
         16);
     for (const double a : area) canopy.leaf_area += a;
-    activate(canopy.transmittance);
     activate(canopy.height);
-    activate(canopy.ground_transmittance);
     canopy.terrain = terrain_of(inputs.land, nx, ny, layer);
     if (params.occupancy) {
         activate(canopy.owner);
@@ -585,6 +551,134 @@ Canopy canopy(const Forest& forest, const CanopyParams& params, Vec3d corner,
     }
     progress.update(1);
     return canopy;
+}
+
+Shade shade_of(const FloatGrid& leaf_area_density, const std::function<int(int i, int j)>& ground,
+               double extinction)
+{
+    // Leaves that lie one upon another, and what is between them and the ground.
+    struct Stack {
+        Coord corner;
+        int low, high;
+        std::size_t first = 0;
+    };
+    std::vector<Stack> stacks;
+    for (const Coord o : leaf_area_density.topology()->origins()) {
+        const int z = floor_div(o.z);
+        if (stacks.empty() || stacks.back().corner != Coord(o.x, o.y, 0))
+            stacks.push_back({{o.x, o.y, 0}, z, z});
+        stacks.back().high = z;
+    }
+    parallel_for(stacks.size(), [&](std::size_t k) {
+        Stack& s = stacks[k];
+        s.low = std::min(
+            s.low,
+            floor_div(lowest_ground(ground, floor_div(s.corner.x), floor_div(s.corner.y)) + 1));
+    });
+    std::vector<Coord> origins, layer;
+    for (Stack& s : stacks) {
+        s.first = origins.size();  // in their order already
+        for (int z = s.low; z <= s.high; ++z) origins.push_back(s.corner + Coord(0, 0, 8 * z));
+        layer.push_back(s.corner);
+    }
+    const Transform volume = leaf_area_density.transform(),
+                    at_ground{volume.origin + Vec3d(0, 0, volume.voxel), volume.voxel};
+    Shade shade{filled_grid<float>(LeafTopology::build(std::move(origins)), volume, 1),
+                filled_grid<float>(LeafTopology::build(std::move(layer)), at_ground, 1)};
+    parallel_for(
+        stacks.size(),
+        [&](std::size_t k) {
+            const Stack& s = stacks[k];
+            std::vector<std::uint32_t> leaves;
+            for (int z = s.low; z <= s.high; ++z)
+                leaves.push_back(leaf_area_density.topology()->find(s.corner + Coord(0, 0, 8 * z)));
+            float* level = shade.ground_transmittance.values(k);
+            for (int column = 0; column < 64; ++column) {
+                const int across = column << 3;
+                const int low = ground(s.corner.x + (column >> 3), s.corner.y + (column & 7)) + 1;
+                double depth = 0;
+                float below = 1;  // a voxel without leaves is as bright as its lower neighbour
+                for (int z = 8 * s.high + 7; z >= low; --z) {
+                    const auto n = static_cast<std::size_t>(floor_div(z) - s.low);
+                    const double lad = leaves[n] == kNoLeaf
+                                           ? 0
+                                           : volume.voxel * double(leaf_area_density.at(
+                                                                leaves[n], across | (z & 7)));
+                    float here = below;
+                    if (lad > 0) {
+                        here =
+                            static_cast<float>(math::inline_exp(-extinction * (depth + lad / 2)));
+                        depth += lad;
+                        below = static_cast<float>(math::inline_exp(-extinction * depth));
+                    }
+                    shade.transmittance.values(s.first + n)[across | (z & 7)] = here;
+                }
+                level[across] = below;
+            }
+        },
+        4);
+    activate(shade.transmittance);
+    activate(shade.ground_transmittance);
+    return shade;
+}
+
+FloatGrid with_leaves(const FloatGrid& leaf_area_density, const FloatGrid& more)
+{
+    const Transform coarse = leaf_area_density.transform(), fine = more.transform();
+    const double ratio = fine.voxel / coarse.voxel;
+    // The lower corner of a voxel of `more`, in voxels of the first.
+    auto corner = [&](Coord c) { return coarse.voxels(fine.world(Vec3d(c))); };
+    auto floor_of = [](Vec3d p) {
+        return Coord(int(std::floor(p.x)), int(std::floor(p.y)), int(std::floor(p.z)));
+    };
+    std::vector<Coord> touched;
+    for (std::size_t leaf = 0; leaf < more.leaf_count(); ++leaf) {
+        if (more.mask(leaf).none()) continue;
+        const Vec3d from = corner(more.origin(leaf));
+        const Coord a = leaf_origin(floor_of(from)),
+                    b = leaf_origin(floor_of(from + Vec3d(kLeafEdge * ratio)));
+        for (int x = a.x; x <= b.x; x += kLeafEdge)
+            for (int y = a.y; y <= b.y; y += kLeafEdge)
+                for (int z = a.z; z <= b.z; z += kLeafEdge) touched.emplace_back(x, y, z);
+    }
+    const TopologyPtr added = LeafTopology::build(touched);
+    touched.insert(touched.end(), leaf_area_density.topology()->origins().begin(),
+                   leaf_area_density.topology()->origins().end());
+    std::vector<double> sum(added->size() * kLeafSize);
+    for (std::size_t leaf = 0; leaf < more.leaf_count(); ++leaf)
+        more.mask(leaf).for_each([&](int o) {
+            const Vec3d from = corner(leaf_coord(more.origin(leaf), o)), to = from + Vec3d(ratio);
+            const Coord a = floor_of(from), b = floor_of(to);
+            const double density = double(more.at(leaf, o));
+            auto share = [&](int axis, int at) {
+                return std::max(0.0,
+                                std::min(to[axis], at + 1.0) - std::max(from[axis], double(at)));
+            };
+            for (int x = a.x; x <= b.x; ++x)
+                for (int y = a.y; y <= b.y; ++y)
+                    for (int z = a.z; z <= b.z; ++z) {
+                        const double part = share(0, x) * share(1, y) * share(2, z);
+                        if (part > 0)
+                            sum[std::size_t(added->find(leaf_origin({x, y, z}))) * kLeafSize +
+                                std::size_t(leaf_offset({x, y, z}))] += part * density;
+                    }
+        });
+    auto grid = filled_grid<float>(LeafTopology::build(std::move(touched)), coarse, 0);
+    parallel_for(
+        grid.leaf_count(),
+        [&](std::size_t leaf) {
+            const std::uint32_t first = leaf_area_density.topology()->find(grid.origin(leaf)),
+                                second = added->find(grid.origin(leaf));
+            for (int o = 0; o < kLeafSize; ++o) {
+                const double own = first == kNoLeaf ? 0 : double(leaf_area_density.at(first, o));
+                const double other =
+                    second == kNoLeaf ? 0 : sum[std::size_t(second) * kLeafSize + std::size_t(o)];
+                grid.values(leaf)[o] = static_cast<float>(own + other);
+            }
+        },
+        16);
+    activate(grid);
+    return grid;
 }
 
 double canopy_memory(const Inputs& inputs, const CanopyParams& params)

@@ -67,6 +67,20 @@ struct Canopy {
 Canopy canopy(const Forest& forest, const CanopyParams& params, Vec3d corner = {},
               const std::function<bool(const Tree&)>& leafless = {}, const Progress& progress = {});
 
+/// Light from above through leaves that lie in the voxels of a forest.
+struct Shade {
+    FloatGrid transmittance;         ///< as Canopy::transmittance
+    FloatGrid ground_transmittance;  ///< as Canopy::ground_transmittance
+};
+/// @param ground  whole voxels by which pixel (i, j) is shifted; asked outside the domain too where
+///                leaves are there
+Shade shade_of(const FloatGrid& leaf_area_density, const std::function<int(int i, int j)>& ground,
+               double extinction);
+
+/// Leaf area densities of both, on the voxels of the first: each voxel of `more` is shared out by
+/// the volume that it has in each of them, so that no leaf area is lost.
+FloatGrid with_leaves(const FloatGrid& leaf_area_density, const FloatGrid& more);
+
 /// Bytes of all that canopy() makes, at the most.
 double canopy_memory(const Inputs& inputs, const CanopyParams& params);
 

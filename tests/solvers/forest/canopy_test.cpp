@@ -342,6 +342,85 @@ TEST(Canopy, CanDoWithoutOwners)
     EXPECT_EQ(c.leaf_area_density.active_count(), 2431u);
 }
 
+/// Fog of finer voxels that fit nowhere.
+FloatGrid fine_leaves(double voxel)
+{
+    FloatGrid fine(LeafTopology::build({{0, 0, 0}, {8, 0, 0}, {-8, 16, 8}}),
+                   {Vec3d(30.37, 21.11, 3.3), voxel}, 0);
+    for (std::size_t leaf = 0; leaf < 3; ++leaf) {
+        fine.expand({leaf});
+        for (int o = 0; o < kLeafSize; o += 3) {
+            fine.values(leaf)[o] = float(0.1 + 0.01 * (o % 17));
+            fine.mask(leaf).set(o);
+        }
+    }
+    return fine;
+}
+
+TEST(Canopy, TakesInLeavesOfAnyVoxels)
+{
+    const Canopy c = canopy(grown(inputs_of(50, 40), 6), {});
+    for (const double voxel : {0.23, 1.0, 1.7}) {
+        const FloatGrid fine = fine_leaves(voxel);
+        const FloatGrid both = with_leaves(c.leaf_area_density, fine);
+        EXPECT_EQ(both.transform(), c.leaf_area_density.transform());
+        EXPECT_NEAR(sum_of(both),
+                    sum_of(c.leaf_area_density) + sum_of(fine) * voxel * voxel * voxel, 1e-2)
+            << voxel;
+        // Their middle is where it was.
+        auto moment = [](const FloatGrid& g) {
+            Vec3d sum;
+            const double volume = std::pow(g.transform().voxel, 3);
+            for (std::size_t leaf = 0; leaf < g.leaf_count(); ++leaf)
+                g.mask(leaf).for_each([&](int o) {
+                    sum += g.transform().world(centre_of(leaf_coord(g.origin(leaf), o))) *
+                           (volume * double(g.at(leaf, o)));
+                });
+            return sum;
+        };
+        const Vec3d off = moment(both) - moment(c.leaf_area_density) - moment(fine);
+        EXPECT_LT(length(off), 1e-5 * length(moment(both)));
+    }
+    const FloatGrid none;
+    EXPECT_EQ(hashes({.leaf_area_density = with_leaves(c.leaf_area_density, none)})[0],
+              hashes({.leaf_area_density = c.leaf_area_density})[0]);
+}
+
+TEST(Canopy, ShadesAgainAsItDid)
+{
+    Inputs inputs = inputs_of(60, 44);
+    inputs.land.ground = {60, 44, 0.0f};
+    for (int j = 0; j < 44; ++j)
+        for (int i = 0; i < 60; ++i) inputs.land.ground.set(i, j, float(0.4 * i - 0.3 * j));
+    const Land land = inputs.land;
+    const Canopy c = canopy(grown(std::move(inputs), 9), {}, kCorner);
+    // As it comes out of a file: without leaves that hold nothing.
+    std::vector<Coord> there;
+    for (std::size_t leaf = 0; leaf < c.leaf_area_density.leaf_count(); ++leaf)
+        if (!c.leaf_area_density.mask(leaf).none())
+            there.push_back(c.leaf_area_density.origin(leaf));
+    FloatGrid lad(LeafTopology::build(there), c.leaf_area_density.transform(), 0);
+    lad.expand();
+    for (std::size_t leaf = 0; leaf < lad.leaf_count(); ++leaf)
+        for (int o = 0; o < kLeafSize; ++o)
+            lad.values(leaf)[o] = c.leaf_area_density.value(leaf_coord(lad.origin(leaf), o));
+    const Shade again = shade_of(
+        lad,
+        [&](int i, int j) {
+            return int(std::lround(land.height(std::clamp(i, 0, 59), std::clamp(j, 0, 43))));
+        },
+        0.5);
+    EXPECT_EQ(again.ground_transmittance.transform(), c.ground_transmittance.transform());
+    for (int j = 0; j < 44; ++j)
+        for (int i = 0; i < 60; ++i) {
+            ASSERT_EQ(again.ground_transmittance.value({i, j, 0}),
+                      c.ground_transmittance.value({i, j, 0}));
+            for (int z = -15; z < 45; ++z)
+                ASSERT_EQ(again.transmittance.value({i, j, z}), c.transmittance.value({i, j, z}));
+        }
+    EXPECT_EQ(again.transmittance.active_count(), c.transmittance.active_count());
+}
+
 TEST(Canopy, NamesWhatDoesNotFit)
 {
     Inputs coarse = inputs_of(64, 64);
