@@ -6,7 +6,10 @@
 #include <cmath>
 #include <set>
 
+#include "apps/forest.h"
+#include "apps/forest_instances.h"
 #include "apps/habitat.h"
+#include "apps/specimens.h"
 #include "apps/stages/stages.h"
 #include "apps/trees.h"
 #include "core/error.h"
@@ -16,6 +19,7 @@
 #include "core/units.h"
 #include "grids/marching_tetrahedra.h"
 #include "grids/vdb_file.h"
+#include "solvers/forest/canopy.h"
 #include "solvers/tree/shape.h"
 #include "solvers/tree/wood.h"
 
@@ -30,6 +34,7 @@ struct TreeParams {
     int generations = 40;
     fs::path obstacle, shade;
     bool scene_obstacles = true;
+    std::optional<bool> heroes;
     std::string remove;
     std::optional<double> prune_above;
     std::optional<int> prune_generation;
@@ -61,6 +66,10 @@ struct TreeParams {
               "the rock, fences and walls of the scene are obstacles");
         field("shade", &TreeParams::shade,
               "scene file whose canopy_lad shades them: a forest; empty: none");
+        field("heroes", &TreeParams::heroes,
+              "the single trees of a forest, forest_heroes, grow where they stand, about as high "
+              "as it says, in the shade of its others; low ones may die of it; auto: where there "
+              "are some");
         field("remove", &TreeParams::remove,
               "trees of the scene to fell first: numbers from 0, separated by commas");
         field("prune_above", &TreeParams::prune_above, "m", kAny,
@@ -221,6 +230,126 @@ struct Around {
     }
 };
 
+/// The leaves of a forest's other trees, on whose voxels those of the scene's trees go as well.
+struct Stand {
+    FloatGrid leaves;  ///< leaf area density [1/m]
+    double extinction = 0.5, drag = tree::kCanopyDrag;
+    double level = 0;  ///< height of its corner [m]
+};
+
+std::optional<Stand> stand_of(const Scene& scene)
+{
+    const auto height = scene.grids.find("canopy_height"), lad = scene.grids.find("canopy_lad");
+    if (height == scene.grids.end() || !height->second.extra.contains(kForestSettings)) return {};
+    Stand stand;
+    // What trees have added to is kept aside as it was.
+    if (lad != scene.grids.end() && lad->second.stage == "forest")
+        stand.leaves = scene.floats("canopy_lad");
+    else if (scene.has("forest_lad"))
+        stand.leaves = scene.floats("forest_lad");
+    else
+        return {};
+    stand.level = forest_record(scene).corner.z;
+    if (const Json* made = params_of(scene, "forest")) {
+        stand.extinction = made->value("extinction", stand.extinction);
+        stand.drag = made->value("drag", stand.drag);
+    }
+    return stand;
+}
+
+/// A tree of a forest that is to be grown.
+struct Hero {
+    Vec3d foot;         ///< [m]
+    double height = 0;  ///< [m]
+    int species = 0;    ///< among `kinds`
+};
+struct Heroes {
+    std::vector<Hero> trees;
+    std::vector<tree::Species> kinds;
+};
+
+Heroes heroes_of(const Scene& scene)
+{
+    const char* const kName = "forest_heroes";
+    const ForestModels models = forest_models(scene);
+    Heroes heroes;
+    std::map<std::string, int> place;
+    for (const forest::Instance& at : instances_of(scene.points_of(kName), kName)) {
+        if (at.model < 0 || std::size_t(at.model) >= models.size())
+            throw InvalidInput(fmt::format("{}: tree {:016x} has the model {}, the forest has {}",
+                                           kName, at.uid, at.model, models.size()));
+        if (!(at.height > 0 && std::isfinite(at.height)))
+            throw InvalidInput(fmt::format("{}: tree {:016x} is {} m high, must be > 0", kName,
+                                           at.uid, at.height));
+        const std::string& kind =
+            models.kinds[std::size_t(at.model) /
+                         (std::size_t(models.variants) * models.generations.size())];
+        const auto [found, is_new] = place.emplace(kind, int(heroes.kinds.size()));
+        if (is_new) heroes.kinds.push_back(specimen_kind(kind));
+        heroes.trees.push_back({at.position, at.height, found->second});
+    }
+    return heroes;
+}
+
+/// Heights in branch lengths of a tree that grows alone, after 0, 1, .. generations.
+std::vector<double> heights_alone(tree::GroveParams params, const tree::Species& kind,
+                                  int generations, std::uint64_t seed, const Progress& progress)
+{
+    params.keep_tips.clear();
+    tree::Grove grove(std::move(params), {kind}, {{}}, seed);
+    std::vector<double> heights(std::size_t(generations) + 1);
+    grove.grow(generations, progress, [&](const tree::GenerationStatistics& row) {
+        const tree::Balls balls = grove.balls();
+        double& height = heights[std::size_t(row.generation)];
+        for (std::size_t i = 0; i < balls.size(); ++i)
+            height = std::max(height, balls.centre[i].z + balls.radius[i]);
+    });
+    return heights;
+}
+
+/// Where heroes stand and when they begin, so that each is about as high as it should be in the
+/// end; the highest takes all generations, unless `unit` [m] is given.
+/// @param share  of its last height that the highest has after 0, 1, .. generations
+std::vector<tree::Plant> plants_of(const Heroes& heroes, const tree::GroveParams& params,
+                                   int generations, bool unit_given, double& unit,
+                                   std::vector<double>& share, std::uint64_t seed,
+                                   const Progress& progress)
+{
+    std::vector<std::vector<double>> alone;
+    std::vector<double> highest;
+    for (const tree::Species& kind : heroes.kinds) {
+        alone.push_back(heights_alone(params, kind, generations, seed, progress.slice(0, 0)));
+        highest.push_back(*std::max_element(alone.back().begin(), alone.back().end()));
+        if (highest.back() == 0)
+            throw InvalidInput(
+                fmt::format("tree: {} does not live for {} generations, must grow to be a hero",
+                            kind.name, generations));
+    }
+    if (!unit_given) {
+        unit = 0;
+        for (const Hero& hero : heroes.trees)
+            unit = std::max(unit, hero.height / highest[std::size_t(hero.species)]);
+    }
+    const auto tallest =
+        std::max_element(heroes.trees.begin(), heroes.trees.end(),
+                         [](const Hero& a, const Hero& b) { return a.height < b.height; });
+    share.clear();
+    for (const double height : alone[std::size_t(tallest->species)])
+        share.push_back(std::max(share.empty() ? 0.1 : share.back(),
+                                 height / highest[std::size_t(tallest->species)]));
+    std::vector<tree::Plant> plants;
+    for (const Hero& hero : heroes.trees) {
+        const std::vector<double>& heights = alone[std::size_t(hero.species)];
+        std::size_t age = 1;
+        for (std::size_t g = 1; g < heights.size(); ++g)
+            if (std::abs(heights[g] * unit - hero.height) <
+                std::abs(heights[age] * unit - hero.height))
+                age = g;
+        plants.push_back({hero.foot / unit, hero.species, generations - int(age)});
+    }
+    return plants;
+}
+
 /// Height of the uppermost surface under or over a place, a little above it; 0 where there is none.
 double top_of(const tree::Surroundings& surroundings, Vec3d at)
 {
@@ -283,7 +412,8 @@ public:
                            true,
                            {},
                            {"tree_skeleton", "trees", "tree_buds", "tree_growth", "leaves",
-                            "canopy_lad", "canopy_RU", "tree_light", "tree_sdf"},
+                            "canopy_lad", "canopy_RU", "tree_light", "tree_sdf",
+                            "canopy_transmittance", "ground_transmittance", "forest_lad"},
                            false,
                            {"tree"}};
             info.reads_if_given = true;
@@ -295,7 +425,9 @@ public:
     std::vector<std::string> uses() override
     {
         std::vector<std::string> names = grove_items();
-        names.emplace_back("tree_growth");
+        for (const char* name :
+             {"tree_growth", "forest_heroes", "canopy_height", "terrain_height", "forest_lad"})
+            names.emplace_back(name);
         if (params_.scene_obstacles)
             for (const char* name : {"surface_sdf", "obstacle_sdf", "density", "rock"})
                 names.emplace_back(name);
@@ -384,20 +516,42 @@ public:
         GroveRecord record;
         if (goes_on) record = grove_record(scene);
         override_with(record.params, grove_, given_);
+        const std::optional<Stand> stand = stand_of(scene);
+        Heroes heroes;
+        std::vector<tree::Plant> of_forest;
+        std::vector<double> stand_height;  // its share of the last, by generation
+        if (params_.heroes.value_or(!goes_on && scene.points.contains("forest_heroes")))
+            heroes = heroes_of(scene);
+        if (!heroes.trees.empty()) {
+            for (tree::Species& s : heroes.kinds) override_with(s, species_, given_);
+            of_forest =
+                plants_of(heroes, record.params, params_.generations,
+                          goes_on || given_.contains("unit_length"), record.params.unit_length,
+                          stand_height, context.seed, context.progress);
+            log::info("tree: {} trees of the forest, {:.3g} m a branch", of_forest.size(),
+                      record.params.unit_length);
+        }
         const double unit = record.params.unit_length;
 
         Around around;
-        surround(around, scene, record.params, context);
+        surround(around, scene, record.params, stand ? &stand->leaves : nullptr, context);
         std::vector<Vec3d> origins = places(params_.origin);
         for (Vec3d& at : origins)
             if (std::isnan(at.z)) at.z = top_of(around.surroundings, at);
+        const bool alone = origins.empty() && of_forest.empty();  // unless trees are there already
         std::vector<std::string> names = split_names(params_.species);
-        if (names.empty() && (!goes_on || !origins.empty())) names = {"table-1"};
+        if (!origins.empty() || (alone && !goes_on)) {
+            if (names.empty()) names = {"table-1"};
+        } else if (!goes_on) {
+            if (!names.empty())
+                log::warning("tree: species has no effect on the trees of a forest");
+            names.clear();
+        }
         std::vector<tree::Species> kinds;
         for (const std::string& name : names) kinds.push_back(find_tree(name, context.folder));
         // For new trees, or else in place of what the old ones were.
         const std::size_t first_kind = record.species.size();
-        if (!goes_on || !origins.empty())
+        if (!goes_on || !alone)
             record.species.insert(record.species.end(), kinds.begin(), kinds.end());
         else
             for (std::size_t k = 0; k < record.species.size() && !kinds.empty(); ++k)
@@ -405,7 +559,14 @@ public:
         for (tree::Species& s : record.species) override_with(s, species_, given_);
 
         std::vector<tree::Plant> plants;
-        for (std::size_t k = 0; k < std::max<std::size_t>(origins.size(), goes_on ? 0 : 1); ++k) {
+        for (tree::Plant plant : of_forest) {
+            plant.species += static_cast<int>(record.species.size());
+            if (goes_on) plant.from += record.state.generation;
+            plants.push_back(plant);
+        }
+        record.species.insert(record.species.end(), heroes.kinds.begin(), heroes.kinds.end());
+        const std::size_t more = origins.empty() && alone && !goes_on ? 1 : origins.size();
+        for (std::size_t k = 0; k < more; ++k) {
             tree::Plant plant;
             if (!origins.empty()) plant.origin = origins[k] / unit;
             plant.species = static_cast<int>(first_kind + k % kinds.size());
@@ -432,26 +593,57 @@ public:
 
         std::vector<tree::GenerationStatistics> growth = growth_of(scene);
         const int before = grove.generation(), every = frame_interval();
+        // The others were young when these were: a stand that grows up together.
+        auto raise_stand = [&](int done) {
+            if (!stand || heroes.trees.empty() || goes_on || !params_.shade.empty()) return;
+            std::vector<Vec3d> feet;
+            for (const Hero& hero : heroes.trees) feet.push_back(hero.foot);
+            around.surroundings.shade->set_growth(stand_height[std::size_t(done)], std::move(feet));
+        };
+        raise_stand(0);
         const Progress growing = context.progress.slice(0, 0.7);
         const tree::Status status =
             grove.grow(params_.generations, growing, [&](const tree::GenerationStatistics& row) {
                 growth.push_back(row);
+                raise_stand(row.generation);
                 // Files are the same every time, so that seconds are only told.
                 log::detail("tree: generation {}: {} tips, light {:.3f} s, all else {:.3f} s",
                             row.generation, row.tips, row.seconds_light, row.seconds_rest);
                 if (every == 0 || !context.frame) return;
                 const int done = grove.generation() - before;
                 if (done % every != 0 && done != params_.generations) return;
-                put(scene, grove, growth, context, growing.slice(1, 1));
+                put(scene, grove, stand, growth, context, growing.slice(1, 1));
                 context.frame(grove.generation(), scene);
             });
-        put(scene, grove, growth, context, context.progress.slice(0.7, 1));
+        put(scene, grove, stand, growth, context, context.progress.slice(0.7, 1));
         if (status == tree::Status::Limit)
             stopped = fmt::format(
                 "tree: {} tips after generation {}, the limit is max_tips = {}; the scene is that "
                 "of this generation",
                 grove.tips(), grove.generation(), record.params.max_tips);
-        return summary_of(grove, status, scene);
+        Json summary = summary_of(grove, status, scene);
+        if (!heroes.trees.empty()) {
+            // Plants of one call lie one after the other, these first.
+            const auto& heights = *scene.points.at("trees").values<float>("height");
+            const std::size_t first = grove.plants().size() - plants.size();
+            double share = 0;
+            std::size_t died = 0;
+            for (std::size_t k = 0; k < heroes.trees.size(); ++k) {
+                share += double(heights[first + k]) / heroes.trees[k].height;
+                died += heights[first + k] == 0;
+            }
+            const std::size_t live = heroes.trees.size() - died;
+            summary["heroes"] = heroes.trees.size();
+            if (live > 0) summary["hero_height"] = share / double(live);
+            if (died > 0) {
+                summary["heroes_died"] = died;
+                log::warning(
+                    "tree: {} of the forest's {} single trees died in the shade of the others; "
+                    "choose higher ones, or give a smaller death_threshold",
+                    died, heroes.trees.size());
+            }
+        }
+        return summary;
     }
 
 private:
@@ -461,8 +653,9 @@ private:
         tree::validate(species);
     }
 
+    /// @param leaves  of a forest's trees; may be null
     void surround(Around& around, const Scene& scene, const tree::GroveParams& params,
-                  const StageContext& context) const
+                  const FloatGrid* leaves, const StageContext& context) const
     {
         around.clearance = params.unit_length * params.clearance;
         around.reach = 4 * params.unit_length * std::max(1.0, params.clearance);
@@ -490,7 +683,38 @@ private:
             const FloatGrid& lad = *around.grids.emplace_back(
                 std::make_unique<FloatGrid>(forest.floats("canopy_lad")));
             around.surroundings.shade = std::make_unique<tree::BackgroundShade>(lad, 0.5);
+        } else if (leaves) {
+            around.surroundings.shade = std::make_unique<tree::BackgroundShade>(*leaves, 0.5);
+            around.surroundings.shade->set_lit_from_below(true);
         }
+    }
+
+    /// The canopy of a forest with the leaves of these trees in it.
+    static void put_in_forest(Scene& scene, const Stand& stand, const FloatGrid& leaves)
+    {
+        FloatGrid lad = forest::with_leaves(stand.leaves, leaves), drag = lad;
+        for (std::size_t leaf = 0; leaf < drag.leaf_count(); ++leaf) {
+            auto scaled = [&](float v) { return static_cast<float>(stand.drag * double(v)); };
+            if (float* values = drag.values(leaf))
+                std::transform(values, values + kLeafSize, values, scaled);
+            else
+                drag.set_constant(leaf, scaled(drag.constant(leaf)));
+        }
+        const FloatGrid* terrain =
+            scene.has("terrain_height") ? &scene.floats("terrain_height") : nullptr;
+        forest::Shade shade = forest::shade_of(
+            lad,
+            [&](int i, int j) {
+                if (!terrain) return 0;
+                return int(std::lround(double(terrain->value({i, j, 0})) - stand.level));
+            },
+            stand.extinction);
+        using enum GridClass;
+        scene.put("canopy_lad", std::move(lad), "1/m", "tree", FogVolume);
+        scene.put("canopy_RU", std::move(drag), "1/m", "tree", FogVolume);
+        scene.put("canopy_transmittance", std::move(shade.transmittance), "", "tree", FogVolume);
+        scene.put("ground_transmittance", std::move(shade.ground_transmittance), "", "tree");
+        scene.put("forest_lad", stand.leaves, "1/m", "forest", FogVolume);
     }
 
     static void add_file(Around& around, const fs::path& file, const StageContext& context)
@@ -544,7 +768,7 @@ private:
         log::info("tree: cut {} branches", cut);
     }
 
-    void put(Scene& scene, const tree::Grove& grove,
+    void put(Scene& scene, const tree::Grove& grove, const std::optional<Stand>& stand,
              const std::vector<tree::GenerationStatistics>& growth, const StageContext& context,
              const Progress& progress) const
     {
@@ -566,9 +790,13 @@ private:
         check_memory("tree", canopy_memory(leafy.balls(), params.unit_length, voxel),
                      context.memory_limit, fmt::format("make voxel = {:.3g} m larger", voxel));
         tree::Canopy canopy = tree::canopy(leafy, voxel, progress.slice(0, 0.4));
-        scene.put("canopy_lad", std::move(canopy.leaf_area_density), "1/m", "tree",
-                  GridClass::FogVolume);
-        scene.put("canopy_RU", std::move(canopy.drag), "1/m", "tree", GridClass::FogVolume);
+        if (stand)
+            put_in_forest(scene, *stand, canopy.leaf_area_density);
+        else {
+            scene.put("canopy_lad", std::move(canopy.leaf_area_density), "1/m", "tree",
+                      GridClass::FogVolume);
+            scene.put("canopy_RU", std::move(canopy.drag), "1/m", "tree", GridClass::FogVolume);
+        }
         scene.put("tree_light", std::move(canopy.light), "", "tree", GridClass::FogVolume);
         scene.points.erase("leaves");
         if (params_.leaves) put_leaves(scene, leafy);

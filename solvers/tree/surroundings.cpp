@@ -406,22 +406,54 @@ BackgroundShade::BackgroundShade(const FloatGrid& leaf_area_density, double proj
         64);
 }
 
+void BackgroundShade::set_growth(double share, std::vector<Vec3d> feet)
+{
+    if (!(share > 0 && share <= 1 && !feet.empty()))
+        throw InvalidParameter(fmt::format(
+            "tree: growth of the shade = {}, must be > 0, <= 1, over one foot at least", share));
+    share_ = share;
+    feet_ = std::move(feet);
+}
+
 double BackgroundShade::transmittance(Vec3d from, Vec3d direction) const
 {
     constexpr double kOpaque = 60;  // exp(-60) is nothing beside what double sums can tell
+    if (lit_from_below_ && direction.z < 0) return 1;
+    double all = 0;
+    if (share_ == 1)
+        all = depth(from, direction, kOpaque);
+    else {
+        // What is drawn out upwards again is what is known; each metre of a ray is then `longer`.
+        const Vec3d* foot = &feet_.front();
+        double nearest = INFINITY;
+        for (const Vec3d& f : feet_) {
+            const Vec3d away = f - from;
+            const double square = away.x * away.x + away.y * away.y;
+            if (square < nearest) nearest = square, foot = &f;
+        }
+        from.z = foot->z + (from.z - foot->z) / share_;
+        direction.z /= share_;
+        const double longer = length(direction);
+        all = depth(from, direction / longer, kOpaque * longer * share_) / (longer * share_);
+    }
+    return all > kOpaque ? 0 : math::exp(-all);
+}
+
+double BackgroundShade::depth(Vec3d from, Vec3d direction, double opaque) const
+{
     const Transform& transform = grid_->transform();
     const double per_voxel = projection_ * transform.voxel;
     const Vec3d p = nodes_of(transform, from);
     Corners corners(*grid_);
     std::array<double, 8> v;
-    double depth = 0;
+    double all = 0;
     walk(p, direction, kLeafEdge, lower_, upper_, 0, kFar,
          [&](Coord block, double begin, double end) {
              const std::uint32_t index = blocks_->find(block * kLeafEdge);
              if (index == kNoLeaf) return false;
              if (uniform_[index] >= 0) {
-                 depth += per_voxel * double(uniform_[index]) * (end - begin);
-                 return depth > kOpaque;
+                 all += per_voxel * double(uniform_[index]) * (end - begin);
+                 return all > opaque;
              }
              // Between eight voxels the field is a cubic along the line: Gauss's two points give
              // its integral exactly.
@@ -433,12 +465,12 @@ double BackgroundShade::transmittance(Vec3d from, Vec3d direction) const
                       const Vec3d middle = p + direction * ((a + b) / 2) - Vec3d(cell);
                       const double half = (b - a) / 2;
                       const Vec3d off = direction * (half * kGauss);
-                      depth += per_voxel * half * (mixed(v, middle - off) + mixed(v, middle + off));
+                      all += per_voxel * half * (mixed(v, middle - off) + mixed(v, middle + off));
                       return false;
                   });
-             return depth > kOpaque;
+             return all > opaque;
          });
-    return depth > kOpaque ? 0 : math::exp(-depth);
+    return all;
 }
 
 }  // namespace sekitei::tree

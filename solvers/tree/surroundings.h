@@ -54,10 +54,22 @@ public:
     /// Exact for the trilinear field. From any number of threads.
     /// @param direction  unit
     double transmittance(Vec3d from, Vec3d direction) const;
+    /// The leaves as they were when the others were young: at `share` of their heights over the
+    /// nearest of these feet, all of them.
+    /// @param share  > 0, at most 1
+    void set_growth(double share, std::vector<Vec3d> feet);
+    /// Whether light of the lower half of the sky, which stands for what is scattered around a
+    /// tree, comes through them undiminished: so it does within a stand.
+    void set_lit_from_below(bool lit) { lit_from_below_ = lit; }
 
 private:
+    double depth(Vec3d from, Vec3d direction, double opaque) const;
+
     const FloatGrid* grid_;
     double projection_;
+    double share_ = 1;
+    bool lit_from_below_ = false;
+    std::vector<Vec3d> feet_;
     TopologyPtr blocks_;          ///< 8^3 cells between voxel centres where there are leaves
     std::vector<float> uniform_;  ///< density of those with one only, else -1
     Coord lower_, upper_;         ///< box of the blocks, in blocks

@@ -4,6 +4,9 @@
 
 #include <numeric>
 
+#include "apps/forest.h"
+#include "apps/forest_instances.h"
+#include "core/error.h"
 #include "solvers/forest/canopy.h"
 #include "solvers/wind/wind.h"
 #include "tests/apps/climate_scenes.h"
@@ -118,6 +121,136 @@ TEST(ForestFields, TheWindHasAWayOverTheTrees)
     bush.mask(0) = LeafMask::full();
     inputs.canopy = &bush;
     EXPECT_EQ(wind::plan(inputs, {.ground = 0.0}).garden_size, open);
+}
+
+double sum_of(const FloatGrid& grid)
+{
+    double sum = 0;
+    for (std::size_t leaf = 0; leaf < grid.leaf_count(); ++leaf)
+        grid.mask(leaf).for_each([&](int o) { sum += double(grid.at(leaf, o)); });
+    return sum * std::pow(grid.transform().voxel, 3);
+}
+
+/// A stand whose two highest trees are not grown yet.
+Scene wood(Habitat& habitat, std::string heroes = "")
+{
+    Scene scene;
+    if (heroes.empty()) {
+        // Where they are, that of all of it tells.
+        scene = wood(habitat, "0,0");
+        std::vector<forest::Instance> all =
+            instances_of(scene.points_of("forest_instances"), "forest_instances");
+        std::ranges::sort(all, [](const auto& a, const auto& b) { return a.height > b.height; });
+        for (const auto& t : {all[0], all[1]})
+            heroes += fmt::format("{},{};", t.position.x, t.position.y);
+        scene = {};
+    }
+    run(scene, "forest",
+        {{"size", {40, 48}},
+         {"corner", {100.3, 50, 8}},
+         {"steps", 8},
+         {"initial", "20"},
+         {"ages", {6, 12}},
+         {"variants", 1},
+         {"heroes", heroes}},
+        habitat.context());
+    return scene;
+}
+
+TEST(ForestFields, SingleTreesGrowInPlace)
+{
+    Habitat habitat;
+    Scene scene = wood(habitat);
+    const Points heroes = scene.points_of("forest_heroes");
+    ASSERT_EQ(heroes.position.size(), 2u);
+    const FloatGrid others = scene.floats("canopy_lad");
+    const std::string settings = forest_settings(forest_record(scene));
+    const Json summary = run(scene, "tree", {{"generations", 16}}, habitat.context());
+
+    // Each where it stood, and about as high.
+    const Points& trees = scene.points_of("trees");
+    ASSERT_EQ(trees.position.size(), 2u);
+    const auto& wanted = *heroes.values<float>("height");
+    const auto& found = *trees.values<float>("height");
+    for (std::size_t k = 0; k < 2; ++k) {
+        EXPECT_LT(length(trees.position[k] - heroes.position[k]), 1e-9);
+        EXPECT_GT(found[k], 0.5 * double(wanted[k]));
+        EXPECT_LT(found[k], 1.15 * double(wanted[k]));
+    }
+    EXPECT_EQ(summary["heroes"], 2);
+    EXPECT_EQ(summary["generation"], 16);
+
+    // Their leaves are part of the forest's, on its voxels; nothing else of it changes.
+    const FloatGrid& lad = scene.floats("canopy_lad");
+    EXPECT_EQ(lad.transform(), others.transform());
+    const double leaves = summary["leaf_area_m2"].get<double>();
+    ASSERT_GT(leaves, 1);
+    EXPECT_NEAR(sum_of(lad) - sum_of(others), leaves, 0.01 * leaves);
+    EXPECT_EQ(content_hash(Grid{others, {}, {}, {}, {}, {}}),
+              content_hash(Grid{scene.floats("forest_lad"), {}, {}, {}, {}, {}}));
+    EXPECT_EQ(forest_settings(forest_record(scene)), settings);
+    const FloatGrid &drag = scene.floats("canopy_RU"),
+                    &through = scene.floats("canopy_transmittance"),
+                    &ground = scene.floats("ground_transmittance");
+    EXPECT_EQ(drag.active_count(), lad.active_count());
+    for (int i = 0; i < 40; ++i)
+        for (int j = 0; j < 48; ++j) {
+            double depth = 0;
+            for (int z = 24; z > 0; --z) {
+                const double here = double(lad.value({i, j, z}));
+                ASSERT_EQ(drag.value({i, j, z}), float(0.2 * here));
+                ASSERT_NEAR(double(through.value({i, j, z})), std::exp(-0.5 * (depth + here / 2)),
+                            1e-6);
+                depth += here;
+            }
+            ASSERT_NEAR(double(ground.value({i, j, 0})), std::exp(-0.5 * depth), 1e-6);
+        }
+
+    // Growing on replaces their leaves and does not add them once more.
+    run(scene, "tree", {{"generations", 1}, {"leaves", false}}, habitat.context());
+    EXPECT_EQ(scene.points_of("trees").position.size(), 2u);
+    EXPECT_LT(sum_of(scene.floats("canopy_lad")) - sum_of(others), 1.5 * leaves);
+    EXPECT_EQ(content_hash(Grid{others, {}, {}, {}, {}, {}}),
+              content_hash(Grid{scene.floats("forest_lad"), {}, {}, {}, {}, {}}));
+}
+
+TEST(ForestFields, OtherTreesShadeThem)
+{
+    Habitat habitat;
+    Scene shaded = wood(habitat);
+    Scene bright = shaded;
+    // Without the others' leaves.
+    FloatGrid none(LeafTopology::build({}), bright.floats("canopy_lad").transform(), 0);
+    bright.put("canopy_lad", none, "1/m", "forest", GridClass::FogVolume);
+    const Json a = run(shaded, "tree", {{"generations", 14}}, habitat.context()),
+               b = run(bright, "tree", {{"generations", 14}}, habitat.context());
+    EXPECT_NE(a["tips"], b["tips"]);
+    // heroes = false leaves them alone.
+    Scene empty = wood(habitat);
+    const Json c =
+        run(empty, "tree", {{"generations", 2}, {"heroes", false}, {"origin", "105m,60m,8m"}},
+            habitat.context());
+    EXPECT_EQ(c["trees"], 1);
+    EXPECT_FALSE(c.contains("heroes"));
+}
+
+TEST(ForestFields, DamagedHeroesAreNamed)
+{
+    Habitat habitat;
+    const Scene scene = wood(habitat);
+    auto broken = [&](auto&& change, const char* word) {
+        Scene other = scene;
+        change(other.points.at("forest_heroes").attributes);
+        EXPECT_THAT(
+            [&] {
+                run(other, "tree", {{"generations", 4}}, habitat.context());
+            },
+            ::testing::ThrowsMessage<InvalidInput>(::testing::HasSubstr(word)));
+    };
+    broken([](auto& a) { std::get<std::vector<std::int32_t>>(a.at("model"))[0] = 99; },
+           "has the model 99");
+    broken([](auto& a) { std::get<std::vector<float>>(a.at("height"))[0] = -2; }, "is -2 m high");
+    broken([](auto& a) { a.erase("id"); }, "no attribute 'id'");
 }
 
 }  // namespace

@@ -307,6 +307,29 @@ TEST(BackgroundShade, IsExactForTheTrilinearField)
     }
 }
 
+TEST(BackgroundShade, GrowsUpWithTheTrees)
+{
+    // 8 m of leaves from 4 m above a foot on; half as high they are twice as dense.
+    const double density = 0.25;
+    const FloatGrid grid =
+        fog(64, {{-32, -32, 14}, 1}, [&](Coord c) { return c.z < 8 ? density : 0; });
+    BackgroundShade shade(grid, 0.5);
+    shade.set_growth(0.5, {{3, 3, 10}, {900, 0, 500}});
+    for (const Vec3d way : {Vec3d(0, 0, 1), {0.3, -0.2, 1}}) {
+        const Vec3d d = normalized(way);
+        const double all = 0.5 * density * 8 / d.z;
+        EXPECT_NEAR(shade.transmittance({0, 0, 10}, d), std::exp(-all), 1e-9);
+        EXPECT_NEAR(shade.transmittance({0, 0, 14}, d), std::exp(-all / 2), 1e-9);
+        EXPECT_EQ(shade.transmittance({0, 0, 16.6}, d), 1);
+        EXPECT_NEAR(shade.transmittance({0, 0, 17}, -d), std::exp(-all), 1e-9);
+    }
+    shade.set_lit_from_below(true);
+    EXPECT_EQ(shade.transmittance({0, 0, 17}, {0, 0, -1}), 1);
+    EXPECT_NEAR(shade.transmittance({0, 0, 10}, {0, 0, 1}), std::exp(-0.5 * density * 8), 1e-9);
+    EXPECT_THROW(shade.set_growth(0, {{0, 0, 0}}), InvalidParameter);
+    EXPECT_THROW(shade.set_growth(0.5, {}), InvalidParameter);
+}
+
 TEST(BackgroundShade, OpaqueAndEmptyCanopies)
 {
     const FloatGrid thick = fog(16, {{}, 1}, [](Coord) { return 1e4; });
