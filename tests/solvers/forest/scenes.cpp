@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
 #include <algorithm>
 #include <array>
@@ -545,6 +546,43 @@ void slopes(const Seeds& seeds)
             "plateau "
             "{:.0f}\n",
             seed, on_cliff, on_plane / (256 * 120 / 1e4), on_plateau / (256 * 116 / 1e4));
+    }
+}
+
+void large(double size, const Seeds& seeds)
+{
+    constexpr double kEach = 381470 / 1e8;  // of each species, per m2
+    auto per_hectare = [&](double edge, Border border, std::uint64_t seed, double& slowest) {
+        Inputs inputs = setup(edge, seed);
+        inputs.species.resize(3);
+        inputs.params.border = border;
+        const auto each = std::uint64_t(std::llround(kEach * edge * edge));
+        Forest forest(std::move(inputs));
+        forest.sow(std::vector<std::uint64_t>(3, each));
+        const Run run = [&] {
+            Run rows;
+            for (int n = 1; n <= 30; ++n) {
+                rows.rows.push_back(forest.advance());
+                const StepStatistics& row = rows.rows.back();
+                slowest = std::max(slowest, row.seconds_draw + row.seconds_grow);
+            }
+            return rows;
+        }();
+        return double(run.rows.back().trees) / (edge * edge / 1e4);
+    };
+    for (const std::uint64_t seed : seeds) {
+        SCOPED_TRACE(fmt::format("seed {}", seed));
+        double of_small = 0, of_large = 0;
+        const double wrapped = per_hectare(512, Border::Wrap, seed, of_small),
+                     wide = per_hectare(size, Border::Clip, seed, of_large);
+        EXPECT_NEAR(wide / wrapped, 1, 0.03);
+        rusage usage{};
+        getrusage(RUSAGE_SELF, &usage);
+        const double peak = double(usage.ru_maxrss) / 1024;  // MiB
+        EXPECT_LE(peak, 2048);
+        say("R14 seed {}, {} km: {:.0f} trees per ha, {:.0f} on 512 m that wrap, {:.1f} s for the "
+            "slowest step, peak {:.0f} MiB\n",
+            seed, size / 1000, wide, wrapped, of_large, peak);
     }
 }
 

@@ -22,5 +22,7 @@ void painter(const Seeds& seeds);    ///< R9
 void tiles(const Seeds& seeds);      ///< R10
 void water(const Seeds& seeds);      ///< R11
 void slopes(const Seeds& seeds);     ///< R12
+/// R14: the three tall species on a square so wide, as dense as a small one that repeats itself.
+void large(double size, const Seeds& seeds);
 
 }  // namespace sekitei::forest::scenes

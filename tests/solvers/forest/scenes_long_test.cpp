@@ -48,6 +48,10 @@ TEST(ForestScenesLarge, DoNotDependOnTilesThreadsAndDisks)
 {
     tiles(kThree);
 }
+TEST(ForestScenesLarge, AreAsDenseAsSmallOnes)
+{
+    large(10000, {1});
+}
 
 }  // namespace
 }  // namespace sekitei::forest::scenes
