@@ -47,6 +47,13 @@ void make_room(std::vector<Tree>& list, std::size_t more)
     if (wanted > list.capacity()) list.reserve(wanted + wanted / 16);
 }
 
+/// Empties a list and gives its memory back, which clear() and `= {}` keep.
+template <class T>
+void give_back(std::vector<T>& list)
+{
+    std::vector<T>().swap(list);
+}
+
 int whole_pixels(double length, double pixel)
 {
     return int(std::lround(length / pixel));
@@ -318,7 +325,7 @@ void Forest::resume(int step)
         for (int i = 0; i < tiles_x_; ++i) {
             auto& tile = tile_[std::size_t(row * tiles_x_ + i)];
             size_ += tile.size();
-            tile = {};
+            give_back(tile);
         }
     }
 }
@@ -658,7 +665,7 @@ void Forest::settle(Work& work, int tile)
     auto& seedlings = work.pending[std::size_t(tile)];
     make_room(list, seedlings.size());
     list.insert(list.end(), seedlings.begin(), seedlings.end());
-    seedlings = {};
+    give_back(seedlings);
 }
 
 void Forest::advance_in_memory(Work& work, const Progress& progress)
@@ -679,7 +686,7 @@ void Forest::advance_in_memory(Work& work, const Progress& progress)
     parallel_for(count, [&](std::size_t t) { grow_tile(work, int(t)); });
     for (Work::Part& part : work.parts) {
         for (const auto& [tile, tree] : part.seeds) work.pending[std::size_t(tile)].push_back(tree);
-        part.seeds = {};
+        give_back(part.seeds);
     }
     parallel_for(count, [&](std::size_t t) { settle(work, int(t)); });
     work.seconds_draw = std::chrono::duration<double>(drawn - start).count();
@@ -719,13 +726,14 @@ void Forest::advance_by_rows(Work& work, const Progress& progress)
                 Work::Part& part = work.parts[std::size_t(t)];
                 for (const auto& [tile, tree] : part.seeds)
                     work.pending[std::size_t(tile)].push_back(tree);
-                part.seeds = {};
+                give_back(part.seeds);
             }
         }
         if (const int row = turn - halo_ - seed_halo_; row >= 0 && row < tiles_y_) {
             each_tile(row, [&](int t) { settle(work, t); });
             save_row(work.step, row);
-            for (int t = row * tiles_x_; t < (row + 1) * tiles_x_; ++t) tile_[std::size_t(t)] = {};
+            for (int t = row * tiles_x_; t < (row + 1) * tiles_x_; ++t)
+                give_back(tile_[std::size_t(t)]);
         }
         took(work.seconds_grow);
         progress.update(double(turn + 1) / double(last));
@@ -744,7 +752,7 @@ StepStatistics Forest::advance(const Progress& progress)
             for (int row = 0; row < tiles_y_; ++row) {
                 save_row(0, row);
                 for (int t = row * tiles_x_; t < (row + 1) * tiles_x_; ++t)
-                    tile_[std::size_t(t)] = {};
+                    give_back(tile_[std::size_t(t)]);
             }
         store_->complete(0);
     }
@@ -789,7 +797,7 @@ void Forest::visit(const std::function<void(std::span<const Tree>)>& f) const
         for (int x = 0; x < tiles_x_; ++x) {
             auto& tile = const_cast<Forest*>(this)->tile_[std::size_t(row * tiles_x_ + x)];
             strip.insert(strip.end(), tile.begin(), tile.end());
-            if (stored) tile = {};
+            if (stored) give_back(tile);
         }
         std::ranges::sort(strip, [&](const Tree& a, const Tree& b) {
             return lies_before(a, b, inputs_.params.pixel);

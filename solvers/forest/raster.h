@@ -67,7 +67,7 @@ public:
             }
             if (same) {
                 block.constant = first;
-                block.values = {};
+                std::vector<T>().swap(block.values);  // `= {}` would keep the memory
             }
         }
     }
