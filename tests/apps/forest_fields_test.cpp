@@ -214,6 +214,25 @@ TEST(ForestFields, SingleTreesGrowInPlace)
               content_hash(Grid{scene.floats("forest_lad"), {}, {}, {}, {}, {}}));
 }
 
+TEST(ForestFields, LowerTreesBeginLater)
+{
+    Habitat habitat;
+    Scene scene = wood(habitat);
+    // In the open, so that none dies.
+    const FloatGrid none(LeafTopology::build({}), scene.floats("canopy_lad").transform(), 0);
+    scene.put("canopy_lad", none, "1/m", "forest", GridClass::FogVolume);
+    auto& wanted =
+        std::get<std::vector<float>>(scene.points.at("forest_heroes").attributes.at("height"));
+    wanted = {12, 5};
+    run(scene, "tree", {{"generations", 20}}, habitat.context());
+    const Points& trees = scene.points_of("trees");
+    const auto& from = *trees.values<std::int32_t>("from");
+    EXPECT_LT(from[0], 4);
+    EXPECT_GT(from[1], 8);
+    for (std::size_t k = 0; k < 2; ++k)
+        EXPECT_NEAR((*trees.values<float>("height"))[k] / wanted[k], 1, 0.15);
+}
+
 TEST(ForestFields, OtherTreesShadeThem)
 {
     Habitat habitat;
