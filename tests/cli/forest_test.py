@@ -113,6 +113,23 @@ class Growth(ForestTest):
         self.assertNotIn("MISSED", done.err)
         self.assertEqual(len(re.findall("holds *$", done.err, re.M)), 5, "a head and four criteria")
 
+    def test_criteria_are_missed_where_they_do_not_hold(self):
+        self.grow(*small("--density", "0.4"), out="thin.vdb")
+        self.grow(*small(), out="dense.vdb")
+        self.succeed("compare", "dense.vdb", "thin.vdb", "--figure", "55", "-o", "right.csv", "-q")
+        right = (self.folder / "right.csv").read_text().split("\n")
+        self.grow(*small(), out="thin.vdb")
+        self.succeed("compare", "dense.vdb", "thin.vdb", "--figure", "55", "-o", "wrong.csv", "-q")
+        wrong = (self.folder / "wrong.csv").read_text().split("\n")
+        self.assertTrue(all(line.endswith("MISSED") for line in wrong[1:3]), wrong)
+        self.assertNotEqual(right[1:3], wrong[1:3])
+        (self.folder / "thin.vdb").rename(self.folder / "b.vdb")
+        self.refuse(BAD_INPUT, ["figure = 55", "'thin'", "b, dense"], "compare", "dense.vdb", "b.vdb", "--figure", "55", "-o", "x.csv")
+        self.refuse(BAD_INPUT, ["dense", "step 40"], "compare", "dense.vdb", "--figure", "51", "-o", "x.csv")
+        self.refuse(USAGE, ["figure = 50", "48, 49"], "compare", "dense.vdb", "b.vdb", "--figure", "50", "-o", "x.csv")
+        self.succeed("tree", "--generations", "3", "-o", "t.vdb", "-q")
+        self.refuse(BAD_INPUT, ["forest_trees", "`sekitei forest`"], "compare", "dense.vdb", "t.vdb", "--figure", "55", "-o", "x.csv")
+
     def test_the_path_is_the_one_of_its_script(self):
         script = runpy.run_path(str(DATA / "forest" / "path.py"))
         self.assertEqual(script["png"](), (DATA / "forest" / "path.png").read_bytes())
