@@ -8,19 +8,13 @@
 #include "apps/stages/scenery.h"
 #include "apps/trees.h"
 #include "core/error.h"
+#include "core/math.h"
 #include "core/parallel.h"
 #include "core/random.h"
 #include "solvers/tree/wood.h"
 
 namespace sekitei::apps {
 namespace {
-
-/// So many leaves at most, no wood thinner than a share of the trunk, and its facets [m].
-struct Detail {
-    double leaves, thinnest, edge;
-};
-constexpr std::array<Detail, kSpecimenLevels> kDetails{
-    {{20'000, 0.0, 0.02}, {2'500, 0.06, 0.02}, {300, 0.15, 0.02}, {60, 0.45, 0.3}}};
 
 /// Branches at least so thick; what a thin one bears is thinner still.
 tree::Branches thicker(const tree::Branches& all, std::vector<double>& radius, double least)
@@ -52,9 +46,30 @@ tree::Branches thicker(const tree::Branches& all, std::vector<double>& radius, d
     return some;
 }
 
-/// Bark, then leaves; the face attribute `part` tells 0 from 1. Divided by `height`.
-TriMesh model_of(const tree::Grove& grown, const Detail& detail, double area, double height,
-                 double leaf_scale, std::uint64_t seed, const Progress& progress)
+/// A leaf of two triangles, folded along its rib.
+void add_blade(TriMesh& mesh, Vec3d at, const std::array<float, 4>& orient, double area,
+               double slender)
+{
+    const double x = double(orient[0]), y = double(orient[1]), z = double(orient[2]),
+                 w = double(orient[3]);
+    const Vec3d ex(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
+        ey(2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)), ez = cross(ex, ey);
+    const double length = std::sqrt(area / slender), half = slender * length;
+    const auto first = static_cast<std::uint32_t>(mesh.vertices.size());
+    const Vec3d side = ey * (-0.08 * length) + ez * (0.22 * half);
+    for (const Vec3d corner : {ey * (-0.5 * length), side + ex * half,
+                               ey * (0.5 * length) - ez * (0.12 * length), side - ex * half})
+        mesh.vertices.push_back(Vec3f(at + corner));
+    mesh.triangles.push_back({first, first + 1, first + 2});
+    mesh.triangles.push_back({first, first + 2, first + 3});
+}
+
+/// Leaf area over the ground that a full crown covers, at leaf_scale 1; conifers are deeper.
+constexpr double kFullness = 0.32;
+
+/// Bark, then leaves; the face attribute `part` tells 0 from 1. Divided by the model's height.
+TriMesh mesh_of(const tree::Grove& grown, const SpecimenDetail& detail, const Specimen& model,
+                const SpecimenParams& params, const Progress& progress)
 {
     const double unit = grown.params().unit_length;
     std::vector<double> radius = tree::thickness(grown.branches(), grown.species(), grown.plants());
@@ -67,15 +82,36 @@ TriMesh model_of(const tree::Grove& grown, const Detail& detail, double area, do
     // Fewer leaves are larger ones: the crown stays as dense as it was.
     tree::Grove grove = grown;
     tree::Species kind = grove.species()[0];
-    kind.leaf_size =
-        std::clamp(std::sqrt(area / (detail.leaves * tree::kLeafShape)), kind.leaf_size, 10.0);
-    const double slender = leaf_slenderness(kind.name, kind.model == tree::Model::Conifer);
+    const double alike = std::sqrt(model.leaf_area / (detail.leaves * tree::kLeafShape));
+    kind.leaf_size = std::clamp(alike, detail.full ? 1e-3 : kind.leaf_size, 10.0);
+    const bool needles = kind.model == tree::Model::Conifer;
     grove.set_species(0, kind);
-    const tree::Leaves leaves = tree::leaves(grove, seed);
-    for (std::size_t i = 0; i < leaves.position.size(); ++i)
-        add_leaf(mesh, leaves.position[i], leaves.orient[i],
-                 double(leaves.area[i]) * leaf_scale * leaf_scale, slender);
-    for (Vec3f& v : mesh.vertices) v = Vec3f(Vec3d(v) / height);
+    const tree::Leaves leaves = tree::leaves(grove, params.seed);
+    const std::size_t count = leaves.position.size();
+    if (!detail.full) {
+        const double slender = leaf_slenderness(kind.name, needles);
+        for (std::size_t i = 0; i < count; ++i)
+            add_leaf(mesh, leaves.position[i], leaves.orient[i], double(leaves.area[i]), slender);
+    } else {
+        // Each tip has one leaf at least: of too many, some stand for all.
+        const auto stride =
+            std::max<std::size_t>(1, std::size_t(std::lround(double(count) / detail.leaves)));
+        const double spread =
+            math::kPi * model.crown_radius * model.crown_radius * model.height_m * model.height_m;
+        const double full =
+            params.leaf_scale * params.leaf_scale * kFullness * (needles ? 2 : 1) * spread;
+        double kept = 0;
+        for (std::size_t i = stride / 2; i < count; i += stride) kept += double(leaves.area[i]);
+        const double more = full / kept;
+        // Blades that stand for many are broader.
+        const double share = std::min(1.0, detail.leaves / 20'000);
+        const double slender =
+            std::lerp(0.42, std::max(0.12, leaf_slenderness(kind.name, needles)), share);
+        for (std::size_t i = stride / 2; i < count; i += stride)
+            add_blade(mesh, leaves.position[i], leaves.orient[i], double(leaves.area[i]) * more,
+                      slender);
+    }
+    for (Vec3f& v : mesh.vertices) v = Vec3f(Vec3d(v) / model.height_m);
     std::vector<std::int32_t> part(mesh.triangles.size(), 1);
     std::fill_n(part.begin(), of_bark, 0);
     mesh.face_attributes["part"] = std::move(part);
@@ -84,8 +120,9 @@ TriMesh model_of(const tree::Grove& grown, const Detail& detail, double area, do
 
 /// All ages of one variant.
 void grow(const tree::Species& kind, int variant, const SpecimenParams& params,
-          std::size_t first_model, const std::function<bool(std::size_t, SpecimenLevel)>& wanted,
-          Specimen* models, const Progress& progress)
+          std::size_t first_model, std::span<const SpecimenDetail> details,
+          const std::function<bool(std::size_t, std::size_t)>& wanted, Specimen* models,
+          const Progress& progress)
 {
     tree::Grove grove({}, {kind}, {{}}, hash2(params.seed, std::uint64_t(variant)));
     const double unit = grove.params().unit_length;
@@ -94,6 +131,7 @@ void grow(const tree::Species& kind, int variant, const SpecimenParams& params,
         model.kind = kind.name;
         model.variant = variant;
         model.generations = params.generations[age];
+        model.mesh.resize(details.size());
         if (age > 0 && models[age - 1].tips == 0) continue;
         grove.grow(model.generations - grove.generation(), progress.slice(1, 1));
         model.tips = grove.tips();
@@ -115,11 +153,9 @@ void grow(const tree::Species& kind, int variant, const SpecimenParams& params,
         model.crown_base = base / height;
         model.trunk_diameter =
             2 * tree::thickness(grove.branches(), grove.species(), grove.plants())[0];
-        for (std::size_t level = 0; level < kSpecimenLevels; ++level)
-            if (wanted && wanted(first_model + age, SpecimenLevel(level)))
-                model.mesh[level] =
-                    model_of(grove, kDetails[level], model.leaf_area, model.height_m,
-                             params.leaf_scale, params.seed, progress);
+        for (std::size_t d = 0; d < details.size(); ++d)
+            if (!wanted || wanted(first_model + age, d))
+                model.mesh[d] = mesh_of(grove, details[d], model, params, progress);
     }
 }
 
@@ -136,7 +172,8 @@ tree::Species specimen_kind(const std::string& name)
 
 std::vector<Specimen> grow_specimens(const std::vector<tree::Species>& kinds,
                                      const SpecimenParams& params,
-                                     const std::function<bool(std::size_t, SpecimenLevel)>& wanted,
+                                     std::span<const SpecimenDetail> details,
+                                     const std::function<bool(std::size_t, std::size_t)>& wanted,
                                      const Progress& progress)
 {
     const std::size_t variants = std::size_t(std::max(0, params.variants)),
@@ -144,8 +181,8 @@ std::vector<Specimen> grow_specimens(const std::vector<tree::Species>& kinds,
     std::vector<Specimen> models(kinds.size() * variants * ages);
     parallel_for(kinds.size() * variants, [&](std::size_t i) {
         progress.check();
-        grow(kinds[i / variants], int(i % variants), params, i * ages, wanted, &models[i * ages],
-             progress);
+        grow(kinds[i / variants], int(i % variants), params, i * ages, details, wanted,
+             &models[i * ages], progress);
     });
     return models;
 }

@@ -3,6 +3,7 @@
 #include <array>
 #include <cstdint>
 #include <functional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -14,13 +15,19 @@
 /// Models of trees for instancing: kinds of trees, some variants of each, at some ages.
 namespace sekitei::apps {
 
-/// Levels of detail, the finest first; files are written of the first three.
-enum class SpecimenLevel : std::size_t { Near, Middle, Far, Clumps };
-inline constexpr std::size_t kSpecimenLevels = 4;
-constexpr std::array<std::string_view, kSpecimenLevels> choice_names(SpecimenLevel)
-{
-    return {"near", "middle", "far", "clumps"};
-}
+/// How fine a mesh is.
+struct SpecimenDetail {
+    std::string_view name;
+    double leaves = 1;    ///< about so many, at most
+    double thinnest = 0;  ///< wood, by the trunk
+    double edge = 0.02;   ///< of facets of bark [m, as grown]
+    /// For pictures: leaves of two triangles, as many as asked for, that fill the crown of any
+    /// model alike; otherwise those that it has, of four.
+    bool full = false;
+};
+/// What files are written of.
+inline constexpr std::array<SpecimenDetail, 3> kFileDetails{
+    {{"near", 20'000, 0.0}, {"middle", 2'500, 0.06}, {"far", 300, 0.15}}};
 
 struct Specimen {
     std::string kind;
@@ -32,15 +39,15 @@ struct Specimen {
     double leaf_area = 0;       ///< as grown [m^2]
     double trunk_diameter = 0;  ///< as grown [m]
     /// Height 1, foot at the origin; bark, then leaves, which the face attribute `part` tells:
-    /// 0, 1. Those that nobody wanted are empty.
-    std::array<TriMesh, kSpecimenLevels> mesh;
+    /// 0, 1. One for each detail; those that nobody wanted are empty.
+    std::vector<TriMesh> mesh;
 };
 
 struct SpecimenParams {
     int variants = 3;              ///< of each kind
     std::vector<int> generations;  ///< ages, ascending
     std::uint64_t seed = 1;        ///< of the first variant
-    double leaf_scale = 1;         ///< by which leaves are drawn larger than they are
+    double leaf_scale = 1;         ///< of full crowns: by which leaves are larger than they are
 };
 
 /// A kind by name or .toml file that models can be grown of.
@@ -48,13 +55,14 @@ struct SpecimenParams {
 tree::Species specimen_kind(const std::string& name);
 
 /// Grows each variant of each kind once through all ages.
-/// @param wanted  whether a mesh of this model at this level is to be made; empty: none
+/// @param wanted  whether a mesh of this model in this detail is to be made; empty: all
 /// @return models in the order (kind * variants + variant) * ages + age, all of them
 ///
 /// Bit-identical for any number of threads.
 std::vector<Specimen> grow_specimens(
     const std::vector<tree::Species>& kinds, const SpecimenParams& params,
-    const std::function<bool(std::size_t model, SpecimenLevel level)>& wanted = {},
+    std::span<const SpecimenDetail> details = {},
+    const std::function<bool(std::size_t model, std::size_t detail)>& wanted = {},
     const Progress& progress = {});
 
 }  // namespace sekitei::apps

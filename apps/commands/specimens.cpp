@@ -28,10 +28,9 @@ std::vector<File> specimens(const tree::Species& kind, const SpecimenWords& word
 {
     std::vector<File> files;
     Json models = Json::array();
-    const auto in_files = [](std::size_t, SpecimenLevel l) { return l != SpecimenLevel::Clumps; };
     const std::vector<Specimen> grown = grow_specimens(
         {kind}, {.variants = words.variants, .generations = words.generations, .seed = seed},
-        in_files, progress);
+        kFileDetails, {}, progress);
     for (std::size_t m = 0; m < grown.size(); ++m) {
         const Specimen& s = grown[m];
         if (s.tips == 0) {
@@ -48,13 +47,12 @@ std::vector<File> specimens(const tree::Species& kind, const SpecimenWords& word
                    {"leaf_area_m2", s.leaf_area},
                    {"trunk_diameter_m", s.trunk_diameter},
                    {"tips", s.tips}};
-        for (std::size_t l = 0; l < kSpecimenLevels; ++l) {
-            if (!in_files(m, SpecimenLevel(l))) continue;
-            const std::string_view level = choice_names(SpecimenLevel{})[l];
+        for (std::size_t l = 0; l < kFileDetails.size(); ++l) {
+            const std::string level(kFileDetails[l].name);
             const std::string name =
                 fmt::format("{}_{}_{}_{}.ply", s.kind, s.variant, s.generations, level);
-            model["files"][std::string(level)] = name;
-            model["triangles"][std::string(level)] = s.mesh[l].triangles.size();
+            model["files"][level] = name;
+            model["triangles"][level] = s.mesh[l].triangles.size();
             files.push_back({name, encode_mesh(s.mesh[l], ".ply", progress)});
         }
         models.push_back(std::move(model));

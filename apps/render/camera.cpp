@@ -12,6 +12,8 @@ namespace {
 // Shares of the half picture that the object may fill: more air above than ground below.
 constexpr double kSide = 0.90, kTop = 0.74, kBottom = 0.80;
 
+constexpr double kLow = 8;  // [deg] of the automatic camera
+
 void look_along(Camera& camera, Vec3d forward)
 {
     camera.forward = normalized(forward);
@@ -41,7 +43,7 @@ Camera make_camera(const Params& params, const Bounds& bounds)
     }
 
     const double azimuth = params.view_azimuth * kDegree,
-                 elevation = params.view_elevation * kDegree;
+                 elevation = params.view_elevation.value_or(kLow) * kDegree;
     const Vec3d away{math::sin(azimuth) * math::cos(elevation),
                      math::cos(azimuth) * math::cos(elevation), math::sin(elevation)};
     look_along(camera, -away);
@@ -72,8 +74,7 @@ Camera make_camera(const Params& params, const Bounds& bounds)
     const Vec3d target = params.target.value_or(centre);
     eye = target + (eye - centre) / params.zoom;
     // Stay above the ground the object stands on.
-    if (params.ground && params.view_elevation >= 0)
-        eye.z = std::max(eye.z, bounds.lower.z + 0.02 * size);
+    if (params.ground && elevation >= 0) eye.z = std::max(eye.z, bounds.lower.z + 0.02 * size);
     camera.eye = eye;
     return camera;
 }

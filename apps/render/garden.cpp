@@ -60,8 +60,61 @@ Material wood(const SurfacePoint& p, std::uint64_t key)
     return m;
 }
 
-/// Bark of trees: plates and furrows along what stands upright, lichen in patches.
-Material bark(const SurfacePoint& p, std::uint64_t key)
+Material foliage(const SurfacePoint& p, const LeafColours& colours, std::uint64_t key)
+{
+    Material m;
+    m.normal = p.normal;
+    m.roughness = 0.6f;
+    m.specular = p.seen ? 0.4f : 0;
+    const auto tone = static_cast<float>(gradient_noise(key + 4, Vec3d(p.position) * 3.7) +
+                                         0.6 * gradient_noise(key + 5, Vec3d(p.position) * 17.0));
+    m.albedo = mix(colours.dark, colours.bright, std::clamp(0.5f + tone, 0.0f, 1.0f));
+    m.transmit = {m.albedo.x * colours.through.x, m.albedo.y * colours.through.y,
+                  m.albedo.z * colours.through.z};
+    return m;
+}
+
+/// What grows and lies on the ground of a forest and around it.
+/// @param light  that comes through the crowns: 0 litter alone, 1 a meadow
+Material floor(const SurfacePoint& p, float light, std::uint64_t key)
+{
+    Material m;
+    m.normal = p.normal;
+    m.specular = 0;
+    const Vec3d q(p.position);
+    // A pixel is long on the ground, but not wide.
+    const double pixel = 0.3 * static_cast<double>(p.footprint);
+    auto octave = [&](std::uint64_t k, double wavelength) {
+        const double shown = std::clamp(1.6 - 1.2 * pixel / wavelength, 0.0, 1.0);
+        return shown > 0 ? shown * gradient_noise(key + k, q / wavelength) : 0.0;
+    };
+    const double fields = octave(20, 310) + 0.7 * octave(21, 83), patch = octave(22, 17),
+                 small = octave(23, 3.1);
+    // Grass where there is light, moss and herbs in patches where there is little.
+    const auto green = static_cast<float>(
+        std::clamp(static_cast<double>(light) * 2.2 - 0.45 + 0.9 * patch + 0.7 * small, 0.0, 1.0));
+    const auto dry = static_cast<float>(std::clamp(0.42 + 0.9 * fields + 0.5 * patch, 0.0, 1.0));
+    const Vec3f litter = mix({0.040f, 0.030f, 0.018f}, {0.082f, 0.062f, 0.036f},
+                             static_cast<float>(std::clamp(0.5 + small, 0.0, 1.0)));
+    const Vec3f grass = mix({0.052f, 0.085f, 0.018f}, {0.120f, 0.122f, 0.038f}, dry);
+    Vec3f colour = mix(litter, grass, green);
+    if (p.seen) {
+        const double fine = octave(24, 0.55) + 0.8 * octave(25, 0.13) + 0.8 * octave(26, 0.035);
+        colour *= static_cast<float>(std::clamp(1 + 0.75 * fine, 0.35, 1.8));
+        // Single leaves on the ground, pale.
+        const double leaf = octave(27, 0.06);
+        if (leaf > 0.45) colour = mix(colour, {0.135f, 0.100f, 0.055f}, 0.6f * (1 - green));
+    }
+    m.albedo = colour;
+    // Steep places are bare.
+    const float steep = std::clamp((0.72f - p.normal.z) * 5, 0.0f, 1.0f);
+    m.albedo = mix(m.albedo, {0.105f, 0.088f, 0.068f}, steep);
+    return m;
+}
+
+}  // namespace
+
+Material bark_material(const SurfacePoint& p, std::uint64_t key)
 {
     Material m;
     m.normal = p.normal;
@@ -99,22 +152,6 @@ Material bark(const SurfacePoint& p, std::uint64_t key)
     m.albedo = colour;
     return m;
 }
-
-Material foliage(const SurfacePoint& p, const LeafColours& colours, std::uint64_t key)
-{
-    Material m;
-    m.normal = p.normal;
-    m.roughness = 0.6f;
-    m.specular = p.seen ? 0.4f : 0;
-    const auto tone = static_cast<float>(gradient_noise(key + 4, Vec3d(p.position) * 3.7) +
-                                         0.6 * gradient_noise(key + 5, Vec3d(p.position) * 17.0));
-    m.albedo = mix(colours.dark, colours.bright, std::clamp(0.5f + tone, 0.0f, 1.0f));
-    m.transmit = {m.albedo.x * colours.through.x, m.albedo.y * colours.through.y,
-                  m.albedo.z * colours.through.z};
-    return m;
-}
-
-}  // namespace
 
 TriMesh joined(const std::vector<Piece>& pieces)
 {
@@ -186,7 +223,13 @@ GardenLook::GardenLook(const std::vector<Piece>& pieces, std::uint64_t seed,
     std::size_t first = 0;
     for (const Piece& piece : pieces) {
         if (piece.mesh->triangles.empty()) continue;
-        Part part{first, piece.substance, nullptr, piece.leaves};
+        Part part{first, piece.substance, nullptr, piece.leaves, piece.mesh};
+        if (piece.substance == Substance::Floor) {
+            meadow_ = true;
+            const auto light = piece.mesh->vertex_attributes.find("light");
+            if (light != piece.mesh->vertex_attributes.end())
+                part.light = std::get_if<std::vector<float>>(&light->second);
+        }
         if (piece.substance == Substance::Rock) {
             rocks_.push_back(std::make_unique<RockLook>(*piece.mesh, seed, progress));
             part.rock = rocks_.back().get();
@@ -217,7 +260,15 @@ Material GardenLook::surface(const SurfacePoint& point) const
         case Substance::Foliage:
             return foliage(point, part.leaves, key_);
         case Substance::Bark:
-            return bark(point, key_);
+            return bark_material(point, key_);
+        case Substance::Floor: {
+            const auto& t = part.mesh->triangles[point.triangle - part.first];
+            const float light = part.light ? (*part.light)[t[0]] * (1 - point.u - point.v) +
+                                                 (*part.light)[t[1]] * point.u +
+                                                 (*part.light)[t[2]] * point.v
+                                           : 0;
+            return floor(point, light, key_);
+        }
         case Substance::Rock:
             break;
     }
@@ -228,6 +279,7 @@ Material GardenLook::surface(const SurfacePoint& point) const
 
 Material GardenLook::ground(const SurfacePoint& point) const
 {
+    if (meadow_) return floor(point, 1, key_);
     return rocks_.front()->ground(point);
 }
 

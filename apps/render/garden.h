@@ -21,8 +21,11 @@ TriMesh joined(const std::vector<Piece>& pieces);
 void lay_mats(std::vector<Tuft>& moss, const std::vector<std::string>& species, double size,
               const TriMesh& mesh, const rays::TriangleScene& rays);
 
+/// Bark of trees: plates and furrows along what stands upright, lichen in patches.
+Material bark_material(const SurfacePoint& point, std::uint64_t key);
+
 /// Substances of the pieces of joined(). Rock keeps the columns and surfaces its mesh knows; the
-/// ground is that of the first rock.
+/// ground is that of the first rock, around a forest a meadow.
 class GardenLook : public Look {
 public:
     GardenLook(const std::vector<Piece>& pieces, std::uint64_t seed, const Progress& progress = {});
@@ -35,10 +38,13 @@ private:
         Substance substance = Substance::Rock;
         const RockLook* rock = nullptr;
         LeafColours leaves{};
+        const TriMesh* mesh = nullptr;
+        const std::vector<float>* light = nullptr;  ///< of a forest's floor, at its vertices
     };
     std::vector<Part> parts_;
     std::vector<std::unique_ptr<RockLook>> rocks_;
     std::uint64_t key_;
+    bool meadow_ = false;  ///< around a forest
 };
 
 }  // namespace sekitei::render

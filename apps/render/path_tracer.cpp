@@ -6,6 +6,7 @@
 #include "apps/render/fast_math.h"
 #include "apps/render/sampler.h"
 #include "apps/render/tufts.h"
+#include "apps/render/woods.h"
 #include "core/math.h"
 #include "core/parallel.h"
 #include "solvers/rays/embree.h"
@@ -152,8 +153,9 @@ public:
             float distance = 0;
             bool on_ground = false;
             std::optional<TuftHit> tuft;
+            std::optional<WoodHit> tree;
             const bool met =
-                nearest(origin, direction, point, geometric, distance, on_ground, tuft);
+                nearest(origin, direction, point, geometric, distance, on_ground, tuft, tree);
             ++rays;
             if (!met) {
                 if (depth == 0) {
@@ -170,7 +172,8 @@ public:
             point.footprint =
                 depth == 0 ? distance * pixel_angle_ / std::max(0.15f, std::abs(dot(geometric, wo)))
                            : 0;
-            Material material = tuft        ? world_.tufts->material(*tuft, point)
+            Material material = tree        ? world_.woods->material(*tree, point)
+                                : tuft      ? world_.tufts->material(*tuft, point)
                                 : on_ground ? world_.look.ground(point)
                                             : world_.look.surface(point);
             // Relief and smoothing may turn a normal away from the viewer: bend it back.
@@ -191,6 +194,9 @@ public:
             const Vec3f behind = point.position - geometric * nudge_;
             const bool thin = luminance(material.transmit) > 0;
             const bool last = depth >= params_.bounces;
+            // Among trees, what leaves pass on to one another is most of the light.
+            const bool passes = tree && thin;
+            const float back = passes ? 0.5f : 1.0f;
 
             auto lit = [&](Vec3f light, float& scatter_density) {
                 scatter_density = 0;
@@ -218,7 +224,7 @@ public:
                 ++rays;
                 if (!hidden(thin && dot(geometric, light) < 0 ? behind : start, light)) {
                     const float a = light_density * light_density,
-                                b = last ? 0 : scatter_density * scatter_density;
+                                b = last ? 0 : back * back * scatter_density * scatter_density;
                     add(out.radiance,
                         times(times(through, f), world_.sky.radiance(light)) *
                             (a / (a + b) / light_density),
@@ -228,19 +234,34 @@ public:
             if (last) break;
 
             const auto choice = numbers.next2(), where = numbers.next2();
-            const Vec3f local = scatter.sample(choice[0], where);
-            const Vec3f reflected = scatter.evaluate(local, density);
-            if (!(density > 1e-8f)) break;
-            direction = normalized(frame.world(local));
-            if (dot(geometric, direction) <= 0) break;
-            through = times(through, reflected) / density;
-            if (depth >= 1) {
+            if (passes && choice[0] < 0.5f) {
+                // Through the leaf, evenly to its other side; the light of the sky that comes this
+                // way has been counted.
+                const SinCos turn = sincos_turn(where[1]);
+                const float r = std::sqrt(where[0]);
+                direction = normalized(Frame(-geometric)
+                                           .world({r * turn.cosine, r * turn.sine,
+                                                   std::sqrt(std::max(1e-4f, 1 - where[0]))}));
+                through = times(through, material.transmit) * 2.0f;
+                density = 0;
+                origin = behind;
+            } else {
+                const Vec3f local = scatter.sample(passes ? 2 * choice[0] - 1 : choice[0], where);
+                const Vec3f reflected = scatter.evaluate(local, density);
+                density *= back;
+                if (!(density > 1e-8f)) break;
+                direction = normalized(frame.world(local));
+                if (dot(geometric, direction) <= 0) break;
+                through = times(through, reflected) / density;
+                origin = start;
+            }
+            // Crowns give little of their light to others, and rays among them cost the most.
+            if (depth >= 1 || tree) {
                 const float survive =
                     std::min(1.0f, 1.6f * std::sqrt(std::max({through.x, through.y, through.z})));
                 if (choice[1] >= survive) break;
                 through = through / survive;
             }
-            origin = start;
         }
 
         if (out.depth > 0 && std::isfinite(world_.haze)) {
@@ -271,11 +292,34 @@ private:
     bool hidden(Vec3f from, Vec3f direction) const
     {
         return rays_.occluded(from, direction, 0, far_) ||
-               (world_.tufts && world_.tufts->occluded(from, direction, far_));
+               (world_.tufts && world_.tufts->occluded(from, direction, far_)) ||
+               (world_.woods && world_.woods->occluded(from, direction, far_));
     }
 
     bool nearest(Vec3f origin, Vec3f direction, SurfacePoint& point, Vec3f& geometric,
-                 float& distance, bool& on_ground, std::optional<TuftHit>& tuft) const
+                 float& distance, bool& on_ground, std::optional<TuftHit>& tuft,
+                 std::optional<WoodHit>& tree) const
+    {
+        const bool met =
+            nearest_plant(origin, direction, point, geometric, distance, on_ground, tuft);
+        WoodHit hit;
+        if (!world_.woods ||
+            !world_.woods->intersect(origin, direction, met ? distance : far_, hit))
+            return met;
+        tree = hit;
+        on_ground = false;
+        distance = static_cast<float>(hit.distance);
+        world_.woods->place(hit, point.position, geometric, point.normal);
+        if (dot(geometric, direction) > 0) {
+            geometric = -geometric;
+            point.normal = -point.normal;
+        }
+        point.normal = world_.woods->rounded(hit, point.position, point.normal);
+        return true;
+    }
+
+    bool nearest_plant(Vec3f origin, Vec3f direction, SurfacePoint& point, Vec3f& geometric,
+                       float& distance, bool& on_ground, std::optional<TuftHit>& tuft) const
     {
         const bool met = nearest_solid(origin, direction, point, geometric, distance, on_ground);
         TuftHit hit;

@@ -16,6 +16,7 @@ class TriangleScene;
 namespace sekitei::render {
 
 class Tufts;
+class Woods;
 
 /// What is traced. Everything referred to must outlive the call.
 struct World {
@@ -30,6 +31,7 @@ struct World {
     bool hills = false;             ///< far ridges along the horizon, seen by the camera only
     std::optional<Vec3f> backdrop;  ///< what the camera sees where there is nothing
     const Tufts* tufts = nullptr;   ///< plants beside the mesh
+    const Woods* woods = nullptr;   ///< trees beside it
 };
 
 struct TraceParams {

@@ -16,6 +16,7 @@
 #include "apps/render/sky.h"
 #include "apps/render/text.h"
 #include "apps/render/tufts.h"
+#include "apps/render/woods.h"
 #include "core/error.h"
 #include "core/log.h"
 #include "core/math.h"
@@ -31,6 +32,10 @@ constexpr double kCrease = 38 * kDegree;
 
 /// Exposure that shows rock in open light a little below middle grey.
 constexpr float kRockExposure = 2.1f;
+
+/// Distance at which air veils a forest seen from above, by its size: depth among crowns that are
+/// all alike. Air in the shade below them hardly shines.
+constexpr double kForestHaze = 9;
 
 /// Bounds of what triangles use.
 Bounds used_bounds(const TriMesh& mesh)
@@ -162,10 +167,34 @@ float stops_of(const Params& params)
     return static_cast<float>(math::exp(params.exposure * 0.69314718055994531));
 }
 
-/// A film of daylight as a picture.
-Image8 develop_day(const Film& film, const Sky& sky, const Params& params, std::uint64_t seed)
+/// How much brighter a picture is made in which trees leave little light: at most 4.5 stops.
+float lift_of(const Film& film, float gain)
 {
-    const float gain = kRockExposure * stops_of(params) / std::max(sky.white(), 1e-12f);
+    double sum = 0;
+    std::size_t count = 0;
+    for (std::size_t i = 0; i < film.radiance.size(); ++i) {
+        if (!(film.depth[i] > 0)) continue;
+        const Vec3f c = film.radiance[i];
+        const auto l = static_cast<double>(0.2126f * c.x + 0.7152f * c.y + 0.0722f * c.z);
+        sum += math::log(l * static_cast<double>(gain) + 0.002);
+        ++count;
+    }
+    if (count == 0) return 1;
+    constexpr double kKey = 0.10;
+    const double mean = math::exp(sum / double(count));
+    return static_cast<float>(std::clamp(math::exp(0.75 * math::log(kKey / mean)), 1.0, 22.6));
+}
+
+/// A film of daylight as a picture.
+Image8 develop_day(const Film& film, const Sky& sky, const Params& params, std::uint64_t seed,
+                   bool lifted = false)
+{
+    float gain = kRockExposure * stops_of(params) / std::max(sky.white(), 1e-12f);
+    if (lifted) {
+        const float lift = lift_of(film, gain / stops_of(params));
+        log::detail("render: {:.2f} times as bright, for the shade of trees", lift);
+        gain *= lift;
+    }
     return develop(film, seed, [&](Vec3f c) { return tone_map(c * gain); });
 }
 
@@ -176,6 +205,18 @@ Film film_of(const World& world, const Params& params, std::uint64_t seed, const
                                    .samples = params.samples,
                                    .bounces = params.bounces};
     return trace(world, trace_params, seed, progress.slice(0.02, 0.95));
+}
+
+/// The trees, of models no finer than can be seen; null without trees.
+std::unique_ptr<Woods> woods_of(const Stuff& stuff, const TuftView& view, std::uint64_t seed,
+                                const Progress& progress)
+{
+    if (stuff.trees.empty()) return nullptr;
+    const std::vector<std::uint8_t> levels = tree_levels(stuff.trees, stuff.models, view);
+    std::vector<std::uint8_t> needed(stuff.models);
+    for (std::size_t i = 0; i < levels.size(); ++i)
+        needed[std::size_t(stuff.trees[i].model)] |= static_cast<std::uint8_t>(1u << levels[i]);
+    return std::make_unique<Woods>(stuff.trees, stuff.grow(needed), levels, seed, progress);
 }
 
 /// Values of one attribute of the points, checked; null where there are none.
@@ -333,12 +374,14 @@ Image8 run(const Stuff& stuff, const Params& params, std::uint64_t seed, const P
             fmt::format("render: moss_size = {} m, must be > 0", stuff.moss_size));
     if (stuff.pieces.empty())
         throw InvalidInput("render: the garden has no meshes, must have at least one");
-    const bool plain = stuff.pieces.size() == 1 && stuff.moss.empty() &&
+    const bool plain = stuff.pieces.size() == 1 && stuff.moss.empty() && stuff.trees.empty() &&
                        stuff.pieces[0].substance == Substance::Rock;
     if (plain || !params.field.empty()) return run(*stuff.pieces[0].mesh, params, seed, progress);
 
     const TriMesh mesh = joined(stuff.pieces);
-    const Bounds bounds = shown_bounds(mesh, params);
+    Bounds bounds = shown_bounds(mesh, params);
+    for (const StandingTree& t : stuff.trees)
+        bounds.add(t.position + Vec3d(0, 0, static_cast<double>(t.scale.z)));
     const double size = length(bounds.size());
     progress.update(0);
     const rays::TriangleScene rays(mesh.vertices, mesh.triangles, "render", progress);
@@ -347,8 +390,10 @@ Image8 run(const Stuff& stuff, const Params& params, std::uint64_t seed, const P
     std::vector<Tuft> moss = stuff.moss;
     lay_mats(moss, stuff.species, stuff.moss_size, mesh, rays);
     const Camera camera = make_camera(params, bounds);
-    const Tufts tufts(moss, stuff.species, stuff.moss_size, seed,
-                      {camera.eye, 2 * camera.tan_y / params.height}, progress);
+    const TuftView view{camera.eye, 2 * camera.tan_y / params.height};
+    const Tufts tufts(moss, stuff.species, stuff.moss_size, seed, view, progress);
+    const std::unique_ptr<Woods> woods = woods_of(stuff, view, seed, progress);
+    const bool above = woods && camera.eye.z > bounds.upper.z;
     const Sky sky = Sky::day(direction_of(params.sun_azimuth, params.sun_elevation),
                              params.sun_size / 2 * kDegree, params.turbidity, !params.ground);
     World world{.mesh = mesh,
@@ -358,10 +403,11 @@ Image8 run(const Stuff& stuff, const Params& params, std::uint64_t seed, const P
                 .sky = sky,
                 .camera = camera,
                 .ground = {},
-                .haze = params.haze.value_or(std::max(size, 1e-6) * 45),
+                .haze = params.haze.value_or(std::max(size, 1e-6) * (above ? kForestHaze : 45)),
                 .hills = params.hills && params.ground,
                 .backdrop = {},
-                .tufts = &tufts};
+                .tufts = &tufts,
+                .woods = woods.get()};
     if (params.ground) world.ground = params.ground_height.value_or(bounds.lower.z);
     Film film = film_of(world, params, seed, progress);
     log::detail("render: {} triangles and {} moss plants of {} triangles, {} rays, {} for Embree",
@@ -370,8 +416,13 @@ Image8 run(const Stuff& stuff, const Params& params, std::uint64_t seed, const P
                 count_text(static_cast<double>(tufts.triangles())),
                 count_text(static_cast<double>(film.rays)),
                 bytes_text(static_cast<double>(rays.memory_bytes() + tufts.memory_bytes())));
+    if (woods)
+        log::detail("render: {} trees of {} triangles, {}",
+                    count_text(static_cast<double>(stuff.trees.size())),
+                    count_text(static_cast<double>(woods->triangles())),
+                    bytes_text(static_cast<double>(woods->memory_bytes())));
     if (params.denoise) denoise(film, progress.slice(0.95, 0.99));
-    const Image8 image = develop_day(film, sky, params, seed);
+    const Image8 image = develop_day(film, sky, params, seed, woods != nullptr);
     progress.update(1);
     return image;
 }

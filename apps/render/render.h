@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -24,13 +25,13 @@ struct Params {
     double turbidity = 3;
     double exposure = 0;               ///< stops
     std::optional<Vec3d> eye, target;  ///< [m]; auto: from the bounds
-    double view_azimuth = 215,
-           view_elevation = 8;  ///< [deg] where the automatic camera stands, seen from the target
-    double zoom = 1;            ///< > 1: nearer
-    double field_of_view = 35;  ///< vertical [deg]
-    bool ground = true;         ///< a ground plane
-    std::optional<double> ground_height;  ///< [m]; auto: at the lowest point
-    bool hills = true;                    ///< far ridges along the horizon
+    double view_azimuth = 215;  ///< [deg] where the automatic camera stands, seen from the target
+    std::optional<double> view_elevation;  ///< [deg]; auto: 8
+    double zoom = 1;                       ///< > 1: nearer
+    double field_of_view = 35;             ///< vertical [deg]
+    bool ground = true;                    ///< a ground plane
+    std::optional<double> ground_height;   ///< [m]; auto: at the lowest point
+    bool hills = true;                     ///< far ridges along the horizon
     std::optional<double> haze;  ///< distance that air veils to 1/e [m]; auto: 45 times the size
     bool denoise = true;
     std::string field;  ///< mesh attribute shown as colours with a colour bar; empty: rock
@@ -54,7 +55,8 @@ struct Params {
         field_("view_azimuth", &Params::view_azimuth, "deg", kAny,
                "where the automatic camera stands, clockwise from north, seen from the target");
         field_("view_elevation", &Params::view_elevation, "deg", between(-89, 89),
-               "height of the automatic camera above the horizon");
+               "height of the automatic camera above the horizon; auto: 8, over a forest from its "
+               "near border");
         field_("zoom", &Params::zoom, "", kPositive,
                "nearer (above 1) or farther than the automatic distance");
         field_("field_of_view", &Params::field_of_view, "deg", between(1, 150),
@@ -83,7 +85,8 @@ enum class Substance {
     Wood,     ///< weathered, grain along z
     Water,    ///< dark, smooth, mirrors the sky; the mesh need not be closed
     Foliage,  ///< matt leaves that let light through
-    Bark      ///< grey and brown, furrowed along what stands upright
+    Bark,     ///< grey and brown, furrowed along what stands upright
+    Floor     ///< of a forest: litter, herbs where the vertex attribute `light` (0..1) is large
 };
 
 /// Leaves differ between two colours; light that shines through is tinted.
@@ -110,6 +113,27 @@ struct Tuft {
     std::int64_t id = -1;    ///< tells plants apart from frame to frame; -1: the place in the list
 };
 
+/// Levels of detail of trees.
+inline constexpr std::size_t kTreeLevels = 6;
+
+/// A copy of a model of a tree.
+struct StandingTree {
+    Vec3d position;                           ///< its foot, world [m]
+    std::array<float, 4> orient{0, 0, 0, 1};  ///< x y z w; +z stays up its trunk
+    Vec3f scale{1};                           ///< of a model of height 1 [m]
+    std::int32_t model = 0;                   ///< from 0
+    std::int64_t id = -1;  ///< tells trees apart from frame to frame; -1: the place in the list
+};
+
+/// What stands for trees of one kind, form and age.
+struct TreeModel {
+    /// From the finest level on: of height 1, foot at the origin, bark and after it leaves of two
+    /// triangles each; the face attribute `part` (int32) tells them apart, 0 and 1.
+    std::array<TriMesh, kTreeLevels> mesh;
+    std::vector<LeafColours> leaves{};  ///< each tree has those of one of them, by its id
+    Vec3f bark{1.0f};                   ///< tint
+};
+
 /// A garden: meshes of several substances and what grows on them.
 struct Stuff {
     std::vector<Piece> pieces;
@@ -119,6 +143,11 @@ struct Stuff {
     /// Names of species 1, 2, ...: each of these four looks its own way, others as plain cushions.
     /// Mats of hypnum are laid flat onto the mesh, wherever `orient` points.
     std::vector<std::string> species{"bryum", "hypnum", "polytrichum", "grimmia"};
+    std::vector<StandingTree> trees;
+    std::size_t models = 0;  ///< that `trees` are of
+    /// Gives them, with the meshes of those levels at least that it is asked for: one byte a model,
+    /// bit l set where level l is needed.
+    std::function<std::vector<TreeModel>(const std::vector<std::uint8_t>& levels)> grow;
 };
 
 /// Plants of points with the attributes `orient` (four floats), `pscale` (float) and `species`

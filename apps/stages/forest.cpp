@@ -804,11 +804,8 @@ private:
             // USD files hold the models themselves.
             const bool meshes = fs::path(params_.instances).extension() == ".usda";
             specimens_ = grow_specimens(
-                kinds, params,
-                [meshes](std::size_t, SpecimenLevel level) {
-                    return meshes && level == SpecimenLevel::Far;
-                },
-                progress);
+                kinds, params, std::span(kFileDetails).subspan(meshes ? 2 : kFileDetails.size()),
+                {}, progress);
             for (const Specimen& model : specimens_)
                 models_.crown_radius.push_back(model.crown_radius);
             models_.variants = params_.variants;
@@ -986,10 +983,11 @@ private:
         if (!params_.instances.empty()) {
             const forest::ModelTable models = model_table(forest, context.progress.slice(1, 1));
             std::vector<Prototype> prototypes;
+            static const TriMesh kNone;
             for (const Specimen& model : specimens_)
                 prototypes.push_back(
                     {fmt::format("{}_{}_{}", model.kind, model.variant, model.generations),
-                     &model.mesh[std::size_t(SpecimenLevel::Far)], model.crown_radius,
+                     model.mesh.empty() ? &kNone : &model.mesh.front(), model.crown_radius,
                      model.crown_base});
             // Heroes are grown in their places by the tree stage.
             auto stays = [&](const forest::Tree& tree) {

@@ -7,9 +7,11 @@
 #include <cmath>
 
 #include "apps/habitat.h"
+#include "apps/stages/forest_scenery.h"
 #include "apps/stages/scenery.h"
 #include "apps/stages/stages.h"
 #include "core/error.h"
+#include "core/math.h"
 
 namespace sekitei::apps {
 namespace {
@@ -33,13 +35,6 @@ struct SliceChoice {
               "with slice: value at the upper end of the colour bar");
     }
 };
-
-/// Leaves by what tree bears them, or all as asked for.
-enum class Season { Auto, Green, Autumn, Blossom, Bare };
-constexpr std::array<std::string_view, 5> choice_names(Season)
-{
-    return {"auto", "green", "autumn", "blossom", "bare"};
-}
 
 render::LeafColours colours_of(const Crown& crown, Season season)
 {
@@ -102,15 +97,17 @@ public:
     }
 
     void meets_trees(bool alone) override { only_trees_ = alone; }
+    void meets_forest(bool alone) override { only_forest_ = alone; }
     std::vector<std::string> needs() override
     {
         if (!choice_.slice.empty()) return {choice_.slice};
-        return {only_trees_ ? "tree_skeleton" : "rock"};
+        return {only_trees_ ? "tree_skeleton" : only_forest_ ? "forest_instances" : "rock"};
     }
     std::vector<std::string> uses() override
     {
         if (!choice_.slice.empty()) return {};
         std::vector<std::string> names = scenery_uses();
+        for (std::string& name : forest_uses()) names.push_back(std::move(name));
         if (scenery_.moss) names.push_back("moss");
         if (scenery_.photons) names.push_back("photons");
         if (!params_.field.empty()) names.push_back(grid_of_field(params_.field));
@@ -152,7 +149,8 @@ public:
                                             choice_.low, choice_.high});
         } else {
             const auto mesh = scene.meshes.find("rock");
-            if (mesh == scene.meshes.end() && scene.points.contains("tree_skeleton")) {
+            if (mesh == scene.meshes.end() && (scene.points.contains("tree_skeleton") ||
+                                               scene.points.contains("forest_instances"))) {
                 show_trees(scene, context);
                 return {{"width", picture.width}, {"height", picture.height}};
             }
@@ -200,31 +198,62 @@ private:
         }
     };
 
-    /// Trees on level ground at their feet.
+    /// Single trees on level ground at their feet, a forest on its own.
     void show_trees(const Scene& scene, const StageContext& context)
     {
         if (!params_.field.empty())
             throw InvalidInput(fmt::format(
                 "render: field = {}: the scene has trees and no rock to paint", params_.field));
         const Trees trees(scene, scenery_, context.progress);
-        const TriMesh wood = obstacle_mesh(scene);
+        const TriMesh wood = obstacle_mesh(scene), floor = forest_floor(scene);
         render::Stuff stuff;
+        if (!floor.triangles.empty()) stuff.pieces.push_back({&floor, render::Substance::Floor});
         trees.add_to(stuff);
         if (!wood.triangles.empty()) stuff.pieces.push_back({&wood, render::Substance::Wood});
+        forest_to(stuff, scene, context);
         if (stuff.pieces.empty())
             throw InvalidInput("render: no tree is left, there is nothing to show");
         double triangles = 0, foot = INFINITY;
         for (const render::Piece& piece : stuff.pieces)
             triangles += double(piece.mesh->triangles.size());
-        check_memory("render", memory(triangles, 0), context.memory_limit);
-        for (const Vec3d& at : scene.points.at("tree_skeleton").position)
-            foot = std::min(foot, at.z);
-        if (const auto plants = scene.points.find("trees"); plants != scene.points.end())
-            for (const Vec3d& at : plants->second.position) foot = std::min(foot, at.z);
+        check_memory("render", memory(triangles, double(stuff.trees.size())), context.memory_limit);
+        for (const char* name : {"tree_skeleton", "trees"})
+            if (const auto plants = scene.points.find(name); plants != scene.points.end())
+                for (const Vec3d& at : plants->second.position) foot = std::min(foot, at.z);
         render::Params params = params_;
-        params.zoom *= kTreeZoom;
+        if (floor.triangles.empty()) {
+            params.zoom *= kTreeZoom;
+        } else {
+            if (!params.eye && !params.target && !params.view_elevation)
+                look_over(params, floor.bounds(), stuff.trees);
+            foot = floor.bounds().lower.z + 0.01;  // which its border reaches
+        }
         if (!params.ground_height && std::isfinite(foot)) params.ground_height = foot;
         picture = render::run(stuff, params, context.seed, context.progress);
+    }
+
+    /// From above its near border over all of a forest to the horizon, which stays in the picture's
+    /// upper part.
+    static void look_over(render::Params& params, const Bounds& land,
+                          const std::vector<render::StandingTree>& trees)
+    {
+        constexpr double kDegree = math::kPi / 180;
+        double top = land.upper.z;
+        for (const render::StandingTree& t : trees)
+            top = std::max(top, t.position.z + static_cast<double>(t.scale.z));
+        const double far = 0.72 * std::sqrt(land.size().x * land.size().y) / params.zoom,
+                     azimuth = params.view_azimuth * kDegree,
+                     down = 0.36 * params.field_of_view * kDegree;
+        const Vec3d away(math::sin(azimuth), math::cos(azimuth), 0);
+        params.eye = Vec3d(land.centre().x, land.centre().y, top + 0.20 * far) + away * far;
+        params.target = *params.eye - away * math::cos(down) - Vec3d(0, 0, math::sin(down));
+    }
+
+    void forest_to(render::Stuff& stuff, const Scene& scene, const StageContext& context) const
+    {
+        if (scenery_.trees)
+            add_forest(stuff, scene, scenery_.season, scenery_.leaf_scale, params_.eye,
+                       context.seed, context.progress.slice(0, 0));
     }
 
     void show(const Scene& scene, const TriMesh& rock, const StageContext& context)
@@ -263,6 +292,7 @@ private:
         if (!wood.triangles.empty()) stuff.pieces.push_back({&wood, render::Substance::Wood});
         if (!water.triangles.empty()) stuff.pieces.push_back({&water, render::Substance::Water});
         trees.add_to(stuff);
+        forest_to(stuff, scene, context);
         if (scenery_.moss && scene.points.contains("moss")) {
             stuff.moss = render::tufts_of(scene.points.at("moss"));
             for (render::Tuft& tuft : stuff.moss) ++tuft.species;  // points count from 0
@@ -282,7 +312,7 @@ private:
                                   params, context.seed, context.progress);
             return;
         }
-        picture = stuff.pieces.size() == 1 && stuff.moss.empty()
+        picture = stuff.pieces.size() == 1 && stuff.moss.empty() && stuff.trees.empty()
                       ? render::run(rock, params, context.seed, context.progress)
                       : render::run(stuff, params, context.seed, context.progress);
     }
@@ -300,7 +330,7 @@ private:
     render::Params params_;
     Scenery scenery_;
     SliceChoice choice_;
-    bool only_trees_ = false;
+    bool only_trees_ = false, only_forest_ = false;
 };
 
 }  // namespace
