@@ -113,9 +113,10 @@ struct ForestParams {
         field("sun", &ForestParams::sun, "", kAny,
               "with canopy: x,y,z towards the sun, along which canopy_transmittance is worked out; "
               "auto: upwards");
-        field("heroes", &ForestParams::heroes,
-              "trees that the tree stage is to grow in place: the nearest to each x,y of the "
-              "world; several separated by ';'");
+        field(
+            "heroes", &ForestParams::heroes,
+            "trees that the tree stage is to grow in place: the highest whose cone reaches x,y in "
+            "the world, or else the nearest; several separated by ';'");
         field("variants", &ForestParams::variants, "", between(1, 64),
               "models of each kind of tree");
         field("ages", &ForestParams::ages, "", between(1, 200), "generations of the models");
@@ -817,18 +818,26 @@ private:
         return models_;
     }
 
-    /// Places in `trees` of the nearest to each place asked for, each once.
-    std::vector<std::size_t> hero_trees(const std::vector<forest::Tree>& trees, Vec3d corner) const
+    /// Places in `trees` of those asked for, each once: of each place the highest tree whose cone
+    /// reaches it, which is seen there from above; where there is none, the nearest.
+    std::vector<std::size_t> hero_trees(const Forest& forest,
+                                        const std::vector<forest::Tree>& trees, Vec3d corner) const
     {
         std::vector<std::size_t> chosen;
         for (const auto& [x, y] : hero_places(params_.heroes)) {
-            double nearest = INFINITY;
+            double nearest = INFINITY, highest = 0;
             std::size_t best = trees.size();
             for (std::size_t k = 0; k < trees.size(); ++k) {
-                const double dx = corner.x + trees[k].x - x, dy = corner.y + trees[k].y - y,
-                             away = dx * dx + dy * dy;
-                if (away < nearest && std::ranges::find(chosen, k) == chosen.end())
-                    nearest = away, best = k;
+                const forest::Tree& tree = trees[k];
+                const double dx = corner.x + tree.x - x, dy = corner.y + tree.y - y,
+                             away = std::sqrt(dx * dx + dy * dy);
+                const bool reaches = away <= tree.height * forest.slope(tree.species);
+                if ((reaches ? tree.height <= highest : highest > 0 || away >= nearest) ||
+                    std::ranges::find(chosen, k) != chosen.end())
+                    continue;
+                best = k;
+                if (reaches) highest = tree.height;
+                nearest = away;
             }
             if (best < trees.size()) chosen.push_back(best);
         }
@@ -842,7 +851,7 @@ private:
         const Progress progress = context.progress.slice(0.7, 1);
         for (const char* name : kGrids) scene.grids.erase(name);
         const std::vector<forest::Tree> trees = forest.trees();
-        const std::vector<std::size_t> chosen = hero_trees(trees, corner);
+        const std::vector<std::size_t> chosen = hero_trees(forest, trees, corner);
         std::vector<forest::Tree> heroes, others;
         hero_uids_.clear();
         for (const std::size_t k : chosen) {
