@@ -428,20 +428,10 @@ FloatGrid density_of(const Forest& forest, int nx, int ny, const Transform& tran
     constexpr std::uint16_t kFull = 65535;
     const std::vector<DensityMap>& maps = forest.density();
     const int bands = int(maps.size());
-    std::vector<Coord> all = box_topology({0, 0, 0}, {nx, ny, std::max(1, bands)})->origins();
-    std::erase_if(all, [&](Coord o) {
-        const int i1 = std::min(o.x + 8, nx), j1 = std::min(o.y + 8, ny);
-        for (int b = o.z; b < std::min(o.z + 8, bands); ++b) {
-            const DensityMap& map = maps[std::size_t(b)];
-            std::uint16_t value = kFull;
-            if (map.empty() || (map.constant(o.x, i1, o.y, j1, value) && value == kFull)) continue;
-            for (int j = o.y; j < j1; ++j)
-                for (int i = o.x; i < i1; ++i)
-                    if (map.at(i, j) != kFull) return false;
-        }
-        return true;
-    });
-    auto grid = filled_grid<float>(LeafTopology::build(std::move(all)), transform, 1);
+    // All pixels of all bands are active, also where nothing was painted: who reads it back as maps
+    // counts layers.
+    auto grid =
+        filled_grid<float>(box_topology({0, 0, 0}, {nx, ny, std::max(1, bands)}), transform, 1);
     parallel_for(
         grid.leaf_count(),
         [&](std::size_t leaf) {

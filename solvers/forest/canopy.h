@@ -57,7 +57,7 @@ struct Canopy {
 ///
 /// 2-D grids have one layer, index z = 0, that begins at the forest's corner. `height` is the
 /// height above its foot of the tree that owns the uppermost slice of a pixel. `density` holds
-/// bands, which are cubes there; only blocks that are not 1 throughout, 1 outside.
+/// bands, which are cubes there; 1 outside.
 /// @param corner    world position of the domain's corner (0, 0, 0) [m]
 /// @param leafless  trees that keep their space, but whose leaves are left out; may be empty
 /// @throws InvalidParameter  pixels that are not 1 m, params
