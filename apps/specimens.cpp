@@ -105,8 +105,7 @@ TriMesh mesh_of(const tree::Grove& grown, const SpecimenDetail& detail, const Sp
         const double more = full / kept;
         // Blades that stand for many are broader.
         const double share = std::min(1.0, detail.leaves / 20'000);
-        const double slender =
-            std::lerp(0.42, std::max(0.12, leaf_slenderness(kind.name, needles)), share);
+        const double slender = std::lerp(0.42, leaf_slenderness(kind.name, needles), share);
         for (std::size_t i = stride / 2; i < count; i += stride)
             add_blade(mesh, leaves.position[i], leaves.orient[i], double(leaves.area[i]) * more,
                       slender);

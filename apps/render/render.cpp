@@ -37,6 +37,9 @@ constexpr float kRockExposure = 2.1f;
 /// all alike. Air in the shade below them hardly shines.
 constexpr double kForestHaze = 9;
 
+/// One of so many leaves hides light from an eye below the crowns.
+constexpr std::size_t kShadeEvery = 4;
+
 /// Bounds of what triangles use.
 Bounds used_bounds(const TriMesh& mesh)
 {
@@ -208,15 +211,16 @@ Film film_of(const World& world, const Params& params, std::uint64_t seed, const
 }
 
 /// The trees, of models no finer than can be seen; null without trees.
-std::unique_ptr<Woods> woods_of(const Stuff& stuff, const TuftView& view, std::uint64_t seed,
-                                const Progress& progress)
+std::unique_ptr<Woods> woods_of(const Stuff& stuff, const TuftView& view, bool above,
+                                std::uint64_t seed, const Progress& progress)
 {
     if (stuff.trees.empty()) return nullptr;
     const std::vector<std::uint8_t> levels = tree_levels(stuff.trees, stuff.models, view);
     std::vector<std::uint8_t> needed(stuff.models);
     for (std::size_t i = 0; i < levels.size(); ++i)
         needed[std::size_t(stuff.trees[i].model)] |= static_cast<std::uint8_t>(1u << levels[i]);
-    return std::make_unique<Woods>(stuff.trees, stuff.grow(needed), levels, seed, progress);
+    return std::make_unique<Woods>(stuff.trees, stuff.grow(needed), levels, seed,
+                                   above ? 1 : kShadeEvery, progress);
 }
 
 /// Values of one attribute of the points, checked; null where there are none.
@@ -392,8 +396,8 @@ Image8 run(const Stuff& stuff, const Params& params, std::uint64_t seed, const P
     const Camera camera = make_camera(params, bounds);
     const TuftView view{camera.eye, 2 * camera.tan_y / params.height};
     const Tufts tufts(moss, stuff.species, stuff.moss_size, seed, view, progress);
-    const std::unique_ptr<Woods> woods = woods_of(stuff, view, seed, progress);
-    const bool above = woods && camera.eye.z > bounds.upper.z;
+    const bool above = !stuff.trees.empty() && camera.eye.z > bounds.upper.z;
+    const std::unique_ptr<Woods> woods = woods_of(stuff, view, above, seed, progress);
     const Sky sky = Sky::day(direction_of(params.sun_azimuth, params.sun_elevation),
                              params.sun_size / 2 * kDegree, params.turbidity, !params.ground);
     World world{.mesh = mesh,

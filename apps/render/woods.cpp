@@ -162,18 +162,69 @@ struct Woods::State {
 
     std::atomic<std::int64_t> bytes{0};
     RTCDevice device = nullptr;
-    RTCScene scene = nullptr;
+    RTCScene scene = nullptr, shade = nullptr;
     std::vector<RTCScene> prototypes;
+    std::size_t shade_every = 1;
 
     ~State()
     {
-        if (scene) rtcReleaseScene(scene);
+        for (RTCScene s : {scene, shade})
+            if (s) rtcReleaseScene(s);
         for (RTCScene s : prototypes)
             if (s) rtcReleaseScene(s);
         if (device) rtcReleaseDevice(device);
     }
+    RTCScene scene_of(std::size_t every, const Progress& progress);
     void build(const Progress& progress);
 };
+
+/// All trees, with one of so many of their leaves.
+RTCScene Woods::State::scene_of(std::size_t every, const Progress& progress)
+{
+    const std::size_t first = prototypes.size();
+    for (const Shape& shape : shapes) {
+        progress.check();
+        auto faces = shape.triangles;
+        if (every > 1) {
+            std::size_t kept = shape.first_leaf;
+            for (std::size_t i = kept; i < faces.size(); ++i)
+                if ((i - shape.first_leaf) / 2 % every == 0) faces[kept++] = faces[i];
+            faces.resize(kept);
+        }
+        RTCScene prototype = rtcNewScene(device);
+        prototypes.push_back(prototype);
+        RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
+        void* points =
+            rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
+                                    sizeof(Vec3f), shape.vertices.size());
+        void* corners = rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0,
+                                                RTC_FORMAT_UINT3, sizeof(faces[0]), faces.size());
+        if (points && corners) {
+            std::memcpy(points, shape.vertices.data(), shape.vertices.size() * sizeof(Vec3f));
+            std::memcpy(corners, faces.data(), faces.size() * sizeof(faces[0]));
+            rtcCommitGeometry(geometry);
+            rtcAttachGeometry(prototype, geometry);
+            rtcCommitScene(prototype);
+        }
+        rtcReleaseGeometry(geometry);
+    }
+    RTCScene all = rtcNewScene(device);
+    for (std::size_t i = 0; i < placed.size(); ++i) {
+        if (i % 1024 == 0) progress.check();
+        const Placed& p = placed[i];
+        RTCGeometry instance = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_INSTANCE);
+        rtcSetGeometryInstancedScene(instance, prototypes[first + p.shape]);
+        const std::array<float, 12> matrix{p.x.x, p.x.y,        p.x.z,        p.y.x,
+                                           p.y.y, p.y.z,        p.z.x,        p.z.y,
+                                           p.z.z, p.position.x, p.position.y, p.position.z};
+        rtcSetGeometryTransform(instance, 0, RTC_FORMAT_FLOAT3X4_COLUMN_MAJOR, matrix.data());
+        rtcCommitGeometry(instance);
+        rtcAttachGeometryByID(all, instance, static_cast<unsigned>(i));
+        rtcReleaseGeometry(instance);
+    }
+    rtcCommitScene(all);
+    return all;
+}
 
 void Woods::State::build(const Progress& progress)
 {
@@ -186,44 +237,8 @@ void Woods::State::build(const Progress& progress)
             return true;
         },
         &bytes);
-    for (const Shape& shape : shapes) {
-        progress.check();
-        RTCScene prototype = rtcNewScene(device);
-        prototypes.push_back(prototype);
-        rtcSetSceneFlags(prototype, RTC_SCENE_FLAG_NONE);
-        RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
-        void* points =
-            rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
-                                    sizeof(Vec3f), shape.vertices.size());
-        void* corners =
-            rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
-                                    sizeof(shape.triangles[0]), shape.triangles.size());
-        if (points && corners) {
-            std::memcpy(points, shape.vertices.data(), shape.vertices.size() * sizeof(Vec3f));
-            std::memcpy(corners, shape.triangles.data(),
-                        shape.triangles.size() * sizeof(shape.triangles[0]));
-            rtcCommitGeometry(geometry);
-            rtcAttachGeometry(prototype, geometry);
-            rtcCommitScene(prototype);
-        }
-        rtcReleaseGeometry(geometry);
-    }
-    scene = rtcNewScene(device);
-    rtcSetSceneFlags(scene, RTC_SCENE_FLAG_NONE);
-    for (std::size_t i = 0; i < placed.size(); ++i) {
-        if (i % 1024 == 0) progress.check();
-        const Placed& p = placed[i];
-        RTCGeometry instance = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_INSTANCE);
-        rtcSetGeometryInstancedScene(instance, prototypes[p.shape]);
-        const std::array<float, 12> matrix{p.x.x, p.x.y,        p.x.z,        p.y.x,
-                                           p.y.y, p.y.z,        p.z.x,        p.z.y,
-                                           p.z.z, p.position.x, p.position.y, p.position.z};
-        rtcSetGeometryTransform(instance, 0, RTC_FORMAT_FLOAT3X4_COLUMN_MAJOR, matrix.data());
-        rtcCommitGeometry(instance);
-        rtcAttachGeometryByID(scene, instance, static_cast<unsigned>(i));
-        rtcReleaseGeometry(instance);
-    }
-    rtcCommitScene(scene);
+    scene = scene_of(1, progress);
+    if (shade_every > 1) shade = scene_of(shade_every, progress);
     if (rtcGetDeviceError(device) != RTC_ERROR_NONE)
         throw LimitExceeded("render: no memory for the rays of " +
                             count_text(static_cast<double>(placed.size())) + " trees");
@@ -255,11 +270,13 @@ std::vector<std::uint8_t> tree_levels(const std::vector<StandingTree>& trees, st
 }
 
 Woods::Woods(const std::vector<StandingTree>& trees, std::vector<TreeModel> models,
-             const std::vector<std::uint8_t>& level, std::uint64_t seed, const Progress& progress)
+             const std::vector<std::uint8_t>& level, std::uint64_t seed, std::size_t shade_every,
+             const Progress& progress)
     : state_(std::make_unique<State>())
 {
     State& s = *state_;
     s.key = hash2(seed, Stream("render.woods").id);
+    s.shade_every = shade_every;
     std::vector<std::int32_t> shape(models.size() * kTreeLevels, -1);
     s.placed.reserve(trees.size());
     for (std::size_t i = 0; i < trees.size(); ++i) {
@@ -337,7 +354,8 @@ bool Woods::intersect(Vec3f origin, Vec3f direction, float far, WoodHit& hit) co
 bool Woods::occluded(Vec3f origin, Vec3f direction, float far) const
 {
     if (!state_->scene) return false;
-    return rays::any_hit(state_->scene, rays::ray_of(origin, direction, 0, far));
+    return rays::any_hit(state_->shade ? state_->shade : state_->scene,
+                         rays::ray_of(origin, direction, 0, far));
 }
 
 void Woods::place(const WoodHit& hit, Vec3f& position, Vec3f& geometric, Vec3f& soft) const

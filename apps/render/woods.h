@@ -37,10 +37,12 @@ class Woods {
 public:
     /// @param models  with the meshes of all levels that are needed
     /// @param level   of each tree, see tree_levels()
+    /// @param shade_every  one of so many leaves counts for occluded(): stands for what leaves pass
+    ///                     on to one another, where that is nearly all the light
     /// @throws InvalidInput   a tree as in tree_levels(); a mesh that is missing or not sound
     /// @throws LimitExceeded  no memory
     Woods(const std::vector<StandingTree>& trees, std::vector<TreeModel> models,
-          const std::vector<std::uint8_t>& level, std::uint64_t seed,
+          const std::vector<std::uint8_t>& level, std::uint64_t seed, std::size_t shade_every = 1,
           const Progress& progress = {});
     ~Woods();
     Woods(const Woods&) = delete;
