@@ -133,11 +133,12 @@ ForestModels forest_models(const Scene& scene)
 
 void put_forest_growth(Scene& scene, const std::vector<StepStatistics>& rows)
 {
-    scene.points.erase("forest_growth");
-    if (rows.empty()) return;
     Points points;
     points.stage = "forest";
     std::map<std::string, std::vector<double>> columns;
+    for (const char* name : {"step", "trees", "births", "lost", "mean_share"}) columns[name] = {};
+    for (const std::string_view name : choice_names(forest::Cause{}))
+        columns[std::string(name)] = {};
     for (const StepStatistics& row : rows) {
         points.position.emplace_back(row.step, 0, 0);
         columns["step"].push_back(row.step);

@@ -46,6 +46,7 @@ public:
     /// @throws InvalidParameter  there is no such folder, or it holds another forest: names what
     ///                           differs
     /// @throws InvalidInput      state.json is damaged
+    /// @throws IoError           another run works in it, or it cannot be written
     ForestFolder(std::filesystem::path folder, Json identity, Progress progress);
 
     /// What it holds; empty for a new folder.
@@ -57,11 +58,16 @@ public:
     std::string load(int step, int row) override;
     void save(int step, int row, const std::string& bytes) override;
     void complete(int) override {}
+    ~ForestFolder() override;
+    ForestFolder(const ForestFolder&) = delete;
+    ForestFolder& operator=(const ForestFolder&) = delete;
 
 private:
+    void read_state();
     std::filesystem::path step_folder(int step) const;
     void remove_other_steps(int step) const;
 
+    int lock_ = -1;  ///< file descriptor; the system lets go of it when the process ends
     std::filesystem::path folder_;
     Json identity_;
     Progress progress_;

@@ -528,6 +528,8 @@ Raster<float> terrain_of_picture(const TerrainParams& params, const std::filesys
 std::vector<MapWord> map_words(const std::string& option, const std::string& text, bool named)
 {
     std::vector<MapWord> words;
+    if (!text.empty() && split_names(text).empty())
+        throw InvalidParameter(fmt::format("{} = {}: names no map", option, text));
     for (const std::string& one : split_names(text)) {
         words.push_back(map_word(option, one, named));
         if (named && std::any_of(words.begin(), words.end() - 1, [&](const MapWord& other) {
@@ -620,6 +622,10 @@ void validate(const TerrainParams& params)
         throw InvalidParameter(
             "forest: a terrain picture needs height_low and height_high, the heights of black and "
             "white");
+    if (picture && *params.height_low > *params.height_high)
+        throw InvalidParameter(
+            fmt::format("forest: height_low = {} m, must be at most height_high = {} m",
+                        *params.height_low, *params.height_high));
     if (!picture && (params.metres_per_pixel || params.height_low || params.height_high))
         throw InvalidParameter(
             "forest: metres_per_pixel, height_low and height_high are for pictures; a volume has "
@@ -698,12 +704,13 @@ std::vector<forest::Edit> MapWatcher::changes(int step)
         now = read_density(text_, bands_, frame_, context_);
         if (hashes() != before) throw InvalidInput("density: a map is being written");
     } catch (const InvalidInput& error) {
-        if (!told_) log::warning("step {}: the maps stay as they were: {}", step, error.what());
-        told_ = true;
+        if (told_ != error.what())
+            log::warning("step {}: the maps stay as they were: {}", step, error.what());
+        told_ = error.what();
         return {};
     }
     known_ = before;
-    told_ = false;
+    told_.clear();
     std::vector<forest::Edit> edits;
     for (std::size_t band = 0; band < now.size(); ++band) {
         if (now[band] == maps_[band]) continue;

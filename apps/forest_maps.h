@@ -135,7 +135,7 @@ private:
     StageContext context_;
     std::map<std::string, std::string> known_;  ///< hashes of what `maps_` holds
     std::vector<forest::DensityMap> maps_;
-    bool told_ = false;  ///< that the files cannot be read now
+    std::string told_;  ///< why the files cannot be read now
 };
 
 }  // namespace sekitei::apps

@@ -53,7 +53,8 @@ void tell_of_trees(Stage& stage, const std::string& name)
     bool trees = false, forest = false, rock = false;
     for (const VdbGridInfo& grid : inspect_vdb(name).grids) {
         trees = trees || grid.name == "tree_skeleton";
-        forest = forest || grid.name == "forest_instances";
+        // A forest out of core has its growth alone.
+        forest = forest || grid.name == "forest_instances" || grid.name == "forest_growth";
         rock = rock || grid.name == "surface_sdf" || grid.name == "density";
     }
     stage.meets_trees(trees && !rock);

@@ -292,6 +292,15 @@ public:
         validate_described("forest", params_);
         apps::validate(terrain_);
         forest::Inputs inputs = bare();
+        if (solver_.windthrow > 0 && params_.wind.empty() && params_.wind_speed == 0)
+            throw InvalidParameter(
+                "forest: windthrow without a wind; give wind_speed or a scene with --wind");
+        inputs.wind = [](double, double, double) { return Vec3d(); };  // the real one is read later
+        for (int axis = 0; axis < 3; ++axis)
+            if (!(std::abs(params_.corner[axis]) <= 1e7))
+                throw InvalidParameter(
+                    fmt::format("forest: corner = {},{},{} m, must be -1e7 to 1e7",
+                                params_.corner.x, params_.corner.y, params_.corner.z));
         if (forest_species_file(params_.species).empty()) {
             inputs.species = find_forest_species(params_.species, {}, solver_.spread_mode);
             // Limits are of maps that are read later.
@@ -370,6 +379,7 @@ public:
         stopped.clear();
         for (const fs::path& file : side_files()) check_target(resolve(context, file));
         forest::Inputs inputs = read_inputs(context);
+        check_initial(inputs, context);
         check_memory("forest", memory(inputs), context.memory_limit,
                      params_.out_of_core.empty() ? "make it smaller, or keep it in a folder with "
                                                    "--out-of-core"
@@ -442,6 +452,17 @@ private:
         if (!given("slope")) land.add_slope();
         if (!params_.edits.empty())
             inputs.edits = read_edits(resolve(context, params_.edits), words(inputs));
+        for (const forest::Edit& edit : inputs.edits) {
+            if (edit.step > params_.steps)
+                log::warning("forest: {}: an edit of step {} does not act in {} steps",
+                             params_.edits.string(), edit.step, params_.steps);
+            const auto outside = std::ranges::count_if(edit.trees, [&](const forest::NewTree& t) {
+                return !(t.x >= 0 && t.x < inputs.width && t.y >= 0 && t.y < inputs.depth);
+            });
+            if (outside > 0)
+                log::warning("forest: {}: {} trees to be planted in step {} stand outside",
+                             params_.edits.string(), outside, edit.step);
+        }
         kinds_.clear();
         for (const forest::Species& s : inputs.species) {
             specimen_kind(s.tree);
@@ -481,6 +502,38 @@ private:
             return Vec3d(
                 vel->value({int(std::floor(at.x)), int(std::floor(at.y)), int(std::floor(at.z))}));
         };
+    }
+
+    /// Trees that are sown at first.
+    double initial_trees(const forest::Inputs& inputs) const
+    {
+        if (fs::path(params_.initial).extension() == ".csv") return 0;
+        const std::vector<std::uint64_t> counts = *counts_of(params_.initial);
+        double sum = 0;
+        for (const std::uint64_t n : counts) sum += double(n);
+        return counts.size() == 1 ? sum * double(inputs.species.size()) : sum;
+    }
+    void check_initial(const forest::Inputs& inputs, const StageContext& context) const
+    {
+        const double trees = initial_trees(inputs);
+        if (trees > solver_.max_trees)
+            throw LimitExceeded(fmt::format(
+                "forest: initial = {}: {} trees, the limit is max_trees = {}; raise it with "
+                "--max-trees",
+                params_.initial, count_text(trees), count_text(solver_.max_trees)));
+        const double limit =
+            context.memory_limit > 0 ? context.memory_limit : 0.9 * physical_memory();
+        check_memory("forest", 1e8 + trees * kBytesSown, limit, "sow fewer trees with --initial");
+    }
+    /// Seeds may be many: what is there now is what counts.
+    void check_growth(const Forest& forest, const StageContext& context) const
+    {
+        check_memory(
+            "forest",
+            1e8 + double(forest.size()) * (params_.out_of_core.empty() ? kBytesPerTree : 0),
+            context.memory_limit > 0 ? context.memory_limit : 0.9 * physical_memory(),
+            "make it smaller, let trees sow less with --seeds-per-step, or keep it in a "
+            "folder with --out-of-core");
     }
 
     /// Bytes at the peak: trees, what a tile works with, results.
@@ -554,6 +607,7 @@ private:
     Json run_in_memory(Scene& scene, forest::Inputs inputs, const StageContext& context)
     {
         const bool goes_on = scene.points.contains("forest_trees");
+        if (goes_on) warn_unused(*this, {"initial"}, "with a scene's forest");
         std::optional<MapWatcher> watcher;
         if (params_.watch_maps) watcher.emplace(params_.density, inputs.bands(), frame(), context);
         std::vector<forest::Edit> done = inputs.edits;  // what acts, for the log
@@ -602,6 +656,7 @@ private:
                 }
             growth.push_back(forest.advance(growing.slice(1, 1)));
             tell(growth.back());
+            check_growth(forest, context);
             growing.update(double(forest.step() - first) / double(params_.steps - first));
             if (double(growth.back().trees) > solver_.max_trees) {
                 stopped = fmt::format(
@@ -825,6 +880,11 @@ private:
     {
         std::vector<std::size_t> chosen;
         for (const auto& [x, y] : hero_places(params_.heroes)) {
+            const forest::Inputs& inputs = forest.inputs();
+            if (!(x >= corner.x && x < corner.x + inputs.width && y >= corner.y &&
+                  y < corner.y + inputs.depth))
+                throw InvalidParameter(fmt::format(
+                    "forest: heroes = {}: {},{} lies outside the forest", params_.heroes, x, y));
             double nearest = INFINITY, highest = 0;
             std::size_t best = trees.size();
             for (std::size_t k = 0; k < trees.size(); ++k) {
@@ -832,14 +892,13 @@ private:
                 const double dx = corner.x + tree.x - x, dy = corner.y + tree.y - y,
                              away = std::sqrt(dx * dx + dy * dy);
                 const bool reaches = away <= tree.height * forest.slope(tree.species);
-                if ((reaches ? tree.height <= highest : highest > 0 || away >= nearest) ||
-                    std::ranges::find(chosen, k) != chosen.end())
-                    continue;
+                if (reaches ? tree.height <= highest : highest > 0 || away >= nearest) continue;
                 best = k;
                 if (reaches) highest = tree.height;
                 nearest = away;
             }
-            if (best < trees.size()) chosen.push_back(best);
+            if (best < trees.size() && std::ranges::find(chosen, best) == chosen.end())
+                chosen.push_back(best);
         }
         return chosen;
     }
@@ -1047,6 +1106,7 @@ private:
     }
 
     static constexpr std::chrono::seconds kKeepEvery{10};
+    static constexpr double kBytesSown = 110;     // a tree, its claim in a tile, room to sort
     static constexpr double kTreesPerArea = 0.6;  // of the table's species, seedlings included
     static constexpr double kBytesPerTree = 400;  // trees, instances, both as they are written
 

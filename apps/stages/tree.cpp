@@ -576,10 +576,12 @@ public:
 
         const tree::Surroundings* surroundings =
             around.surroundings.empty() ? nullptr : &around.surroundings;
-        tree::Grove grove =
-            goes_on
-                ? tree::Grove(record.params, record.species, record.state, surroundings)
-                : tree::Grove(record.params, record.species, plants, context.seed, surroundings);
+        auto planted = [&] {
+            return goes_on ? tree::Grove(record.params, record.species, record.state, surroundings)
+                           : tree::Grove(record.params, record.species, plants, context.seed,
+                                         surroundings);
+        };
+        tree::Grove grove = planted();
         if (goes_on) {
             for (const int id : numbers(params_.remove)) grove.remove_tree(id);
             prune(grove);
@@ -602,19 +604,34 @@ public:
         };
         raise_stand(0);
         const Progress growing = context.progress.slice(0, 0.7);
-        const tree::Status status =
-            grove.grow(params_.generations, growing, [&](const tree::GenerationStatistics& row) {
-                growth.push_back(row);
-                raise_stand(row.generation);
-                // Files are the same every time, so that seconds are only told.
-                log::detail("tree: generation {}: {} tips, light {:.3f} s, all else {:.3f} s",
-                            row.generation, row.tips, row.seconds_light, row.seconds_rest);
-                if (every == 0 || !context.frame) return;
-                const int done = grove.generation() - before;
-                if (done % every != 0 && done != params_.generations) return;
-                put(scene, grove, stand, growth, context, growing.slice(1, 1));
-                context.frame(grove.generation(), scene);
-            });
+        auto watch = [&](const tree::GenerationStatistics& row) {
+            growth.push_back(row);
+            raise_stand(row.generation);
+            // Files are the same every time, so that seconds are only told.
+            log::detail("tree: generation {}: {} tips, light {:.3f} s, all else {:.3f} s",
+                        row.generation, row.tips, row.seconds_light, row.seconds_rest);
+            if (every == 0 || !context.frame) return;
+            const int done = grove.generation() - before;
+            if (done % every != 0 && done != params_.generations) return;
+            put(scene, grove, stand, growth, context, growing.slice(1, 1));
+            context.frame(grove.generation(), scene);
+        };
+        tree::Status status = grove.grow(params_.generations, growing, watch);
+        // The forest says that its single trees stand there and how high: where its shade, whose
+        // leaf area is a guess, kills one or keeps it low, less of it counts.
+        if (stand && !heroes.trees.empty() && !goes_on && params_.shade.empty())
+            for (const double strength : {0.5, 0.25, 0.0}) {
+                if (lowest_hero(grove, heroes) >= kHeroShare) break;
+                log::warning(
+                    "tree: a single tree died or stayed low in the shade of the forest; they grow "
+                    "anew, its leaves count {:.0f} %",
+                    100 * strength);
+                around.surroundings.shade->set_strength(strength);
+                raise_stand(0);
+                growth.clear();
+                grove = planted();
+                status = grove.grow(params_.generations, growing.slice(1, 1), watch);
+            }
         put(scene, grove, stand, growth, context, context.progress.slice(0.7, 1));
         if (status == tree::Status::Limit)
             stopped = fmt::format(
@@ -647,6 +664,22 @@ public:
     }
 
 private:
+    /// The least height of the forest's single trees, which are the first plants, over what it
+    /// should be.
+    static double lowest_hero(const tree::Grove& grove, const Heroes& heroes)
+    {
+        std::vector<double> top(heroes.trees.size(), 0);
+        const tree::Branches& wood = grove.branches();
+        for (std::size_t i = 0; i < wood.size(); ++i)
+            if (const auto of = std::size_t(wood.tree[i]); of < top.size() && wood.alive(i))
+                top[of] = std::max(top[of], wood.end(i).z - grove.plants()[of].origin.z);
+        double least = INFINITY;
+        for (std::size_t k = 0; k < top.size(); ++k)
+            least = std::min(least, top[k] * grove.params().unit_length / heroes.trees[k].height);
+        return least;
+    }
+    static constexpr double kHeroShare = 0.6;
+
     void checked(tree::Species species) const
     {
         override_with(species, species_, given_);

@@ -436,7 +436,7 @@ double BackgroundShade::transmittance(Vec3d from, Vec3d direction) const
         const double longer = length(direction);
         all = depth(from, direction / longer, kOpaque * longer * share_) / (longer * share_);
     }
-    return all > kOpaque ? 0 : math::exp(-all);
+    return all * strength_ > kOpaque ? 0 : math::exp(-all * strength_);
 }
 
 double BackgroundShade::depth(Vec3d from, Vec3d direction, double opaque) const

@@ -61,12 +61,14 @@ public:
     /// Whether light of the lower half of the sky, which stands for what is scattered around a
     /// tree, comes through them undiminished: so it does within a stand.
     void set_lit_from_below(bool lit) { lit_from_below_ = lit; }
+    /// Share of their extinction that counts, 0 to 1; at first all.
+    void set_strength(double share) { strength_ = share; }
 
 private:
     double depth(Vec3d from, Vec3d direction, double opaque) const;
 
     const FloatGrid* grid_;
-    double projection_;
+    double projection_, strength_ = 1;
     double share_ = 1;
     bool lit_from_below_ = false;
     std::vector<Vec3d> feet_;

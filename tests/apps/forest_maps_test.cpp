@@ -713,7 +713,7 @@ TEST_F(ForestMaps, LogOfManyPlantedTreesComesBack)
     Edit edit;
     edit.kind = Edit::Kind::Plant;
     for (std::uint64_t k = 0; k < 80000; ++k)
-        edit.trees.push_back({k, int(k % 6), 1.0 / 3, k / 7e4, 2});
+        edit.trees.push_back({k, int(k % 6), 1.0 / 3, double(k) / 7e4, 2});
     const auto files = encode_edits({edit}, forest::table_species(), "log");
     EXPECT_GT(files[0].second.size(), 4u << 20);
     write("log.toml", files[0].second);

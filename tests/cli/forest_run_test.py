@@ -158,6 +158,68 @@ def rows_of(path):
     return [struct.unpack_from("<3d", body, at) for at in range(0, len(body), width)]
 
 
+    def test_a_folder_is_worked_in_by_one_run_alone(self):
+        (self.folder / "rows").mkdir()
+        words = ["forest", "--size", "400m", "--initial", "600", "--no-canopy", "--steps", "40", "--tile", "64", "--out-of-core", "rows"]
+        first = start([*words, "-o", "a.vdb", "-q"], cwd=self.folder)
+        self.assertTrue(wait_for(lambda: (self.folder / "rows" / "state.json").exists()))
+        self.refuse(CANNOT_WRITE, ["rows", "another run"], *words, "-o", "b.vdb")
+        stop(first, signal.SIGKILL)
+        self.succeed(*words, "-o", "a.vdb", "--force", "-q")
+
+
+class Wind(ForestRuns):
+    WORDS = [*SMALL, "--steps", "12", "--windthrow", "0.3", "--wind-speed", "15m/s", "--wind-azimuth", "90deg"]
+
+    def test_trees_that_the_wind_throws_are_listed_the_same_everywhere(self):
+        def fallen(*options):
+            self.succeed("forest", *self.WORDS, "--fallen", "fallen.csv", "-o", "w.vdb", "--force", "-q", *options)
+            return (self.folder / "fallen.csv").read_bytes()
+        expected = fallen("--threads", "1")
+        self.assertSameBytes(fallen("--threads", "2", "--tile", "32"), expected)
+        (self.folder / "rows").mkdir()
+        self.assertSameBytes(fallen("--out-of-core", "rows", "--tile", "64"), expected)
+        lines = expected.decode().splitlines()
+        self.assertEqual(lines[0], "id,step,species,x,y,azimuth_rad,length")
+        self.assertGreater(len(lines), 20)
+        for line in lines[1:]:
+            # The wind comes from the east: trees fall to the west.
+            self.assertAlmostEqual(abs(float(line.split(",")[5])), 3.14159, 4)
+        self.succeed("statistics", "w.vdb", "-o", "w.csv", "-q")
+        names, *rows = [line.split(",") for line in (self.folder / "w.csv").read_text().splitlines()]
+        self.assertEqual(sum(int(row[names.index("wind")]) for row in rows), len(lines) - 1)
+
+    def test_wind_needs_a_speed(self):
+        self.refuse(USAGE, ["windthrow", "wind_speed"], "forest", *SMALL, "--windthrow", "0.3", "-o", "w.vdb")
+
+
+class Limits(ForestRuns):
+    def test_more_trees_than_memory_are_refused_before_they_are_sown(self):
+        for words in (["--initial", "20000000", "--memory", "200M", "--max-trees", "1e9"], ["--initial", "20000000"]):
+            done = run("forest", "--size", "100m", "--steps", "1", *words, "-o", "x.vdb", cwd=self.folder)
+            self.assertEqual(done.code, LIMIT, done)
+            self.assertLess(done.peak, 200e6)
+            self.assertIn("initial", done.err)
+
+    def test_seeds_without_end_stop_at_the_limit(self):
+        done = run("forest", "--size", "200m", "--initial", "1000", "--steps", "25", "--seeds-per-step", "300", "--memory", "300M", "--no-canopy",
+                   "-o", "x.vdb", cwd=self.folder)
+        self.assertEqual(done.code, LIMIT, done)
+        self.assertIn("seeds-per-step", done.err)
+
+
+class Heroes(ForestRuns):
+    def test_a_single_tree_stands_where_the_forest_had_it_about_as_high(self):
+        for size, at in (("60m", "30,30"), ("96m", "48,48;48,48;20,70")):
+            self.succeed("forest", "--size", size, "--initial", "60", "--steps", "25", "--heroes", at, "-o", "f.vdb", "--force", "-q")
+            done = self.succeed("tree", "f.vdb", "-o", "h.vdb", "--force", "--json")
+            summary = done.json()["summary"]
+            self.assertNotIn("heroes_died", summary)
+            self.assertGreater(summary["hero_height"], 0.6)
+            self.assertEqual(summary["heroes"], 1 if size == "60m" else 2)
+        self.refuse(USAGE, ["999", "outside"], "forest", *SMALL, "--heroes", "999,9", "-o", "x.vdb")
+
+
 class GoingOn(ForestRuns):
     def test_a_scene_goes_on_to_the_bytes_of_one_run(self):
         expected = self.trees("one", *SMALL, "--steps", "12")
