@@ -137,7 +137,7 @@ Scene wood(Habitat& habitat, std::string heroes = "")
     Scene scene;
     if (heroes.empty()) {
         // Where they are, that of all of it tells.
-        scene = wood(habitat, "0,0");
+        scene = wood(habitat, "100.5,50.2");
         std::vector<forest::Instance> all =
             instances_of(scene.points_of("forest_instances"), "forest_instances");
         std::ranges::sort(all, [](const auto& a, const auto& b) { return a.height > b.height; });
