@@ -1,12 +1,8 @@
 #include "apps/forest_folder.h"
 
-#include <fcntl.h>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <sys/file.h>
-#include <unistd.h>
 
-#include <cerrno>
 #include <cstring>
 
 #include "apps/forest.h"
@@ -122,33 +118,10 @@ ForestFolder::ForestFolder(fs::path folder, Json identity, Progress progress)
     if (!fs::is_directory(folder_))
         throw InvalidParameter(fmt::format(
             "forest: out_of_core = {}: no such folder; make it first", folder_.string()));
-    lock_ = ::open((folder_ / "lock").c_str(), O_CREAT | O_RDWR | O_CLOEXEC, 0666);
-    if (lock_ < 0)
-        throw IoError(
-            fmt::format("cannot write into {}: {}", folder_.string(), std::strerror(errno)));
-    if (::flock(lock_, LOCK_EX | LOCK_NB) != 0) {
-        ::close(lock_);
-        lock_ = -1;
-        throw IoError(fmt::format(
-            "forest: out_of_core = {}: another run works in this folder; wait for it or give "
-            "another folder",
-            folder_.string()));
-    }
-    try {
-        read_state();
-    } catch (...) {
-        ::close(lock_);
-        throw;
-    }
-}
-
-ForestFolder::~ForestFolder()
-{
-    if (lock_ >= 0) ::close(lock_);
-}
-
-void ForestFolder::read_state()
-{
+    lock_.emplace(folder_,
+                  fmt::format("forest: out_of_core = {}: another run works in this folder; "
+                              "wait for it or give another folder",
+                              folder_.string()));
     const fs::path file = folder_ / kState;
     if (!fs::exists(file)) return;
     try {

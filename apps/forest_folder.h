@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "apps/folder_lock.h"
 #include "core/params.h"
 #include "core/progress.h"
 #include "solvers/forest/forest.h"
@@ -58,16 +59,12 @@ public:
     std::string load(int step, int row) override;
     void save(int step, int row, const std::string& bytes) override;
     void complete(int) override {}
-    ~ForestFolder() override;
-    ForestFolder(const ForestFolder&) = delete;
-    ForestFolder& operator=(const ForestFolder&) = delete;
 
 private:
-    void read_state();
     std::filesystem::path step_folder(int step) const;
     void remove_other_steps(int step) const;
 
-    int lock_ = -1;  ///< file descriptor; the system lets go of it when the process ends
+    std::optional<FolderLock> lock_;
     std::filesystem::path folder_;
     Json identity_;
     Progress progress_;

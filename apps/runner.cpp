@@ -1,10 +1,7 @@
 #include "apps/runner.h"
 
-#include <fcntl.h>
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <sys/file.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <chrono>
@@ -12,6 +9,7 @@
 #include <map>
 
 #include "apps/console.h"
+#include "apps/folder_lock.h"
 #include "core/error.h"
 #include "core/file_output.h"
 #include "core/hash.h"
@@ -77,31 +75,6 @@ bool has_faces(const fs::path& path)
         if (line.starts_with("element face")) return true;
     return false;
 }
-
-/// Exclusive use of an output folder while it lives.
-class FolderLock {
-public:
-    explicit FolderLock(const fs::path& folder)
-    {
-        file_ = ::open((folder / "lock").c_str(), O_CREAT | O_RDWR | O_CLOEXEC, 0666);
-        if (file_ < 0)
-            throw IoError(
-                fmt::format("cannot write into {}: {}", folder.string(), std::strerror(errno)));
-        if (::flock(file_, LOCK_EX | LOCK_NB) != 0) {
-            ::close(file_);
-            throw IoError(fmt::format(
-                "{} is in use by another run; wait for it or choose another folder with "
-                "--set out=FOLDER",
-                folder.parent_path().string()));
-        }
-    }
-    ~FolderLock() { ::close(file_); }
-    FolderLock(const FolderLock&) = delete;
-    FolderLock& operator=(const FolderLock&) = delete;
-
-private:
-    int file_;
-};
 
 /// What is kept of one finished stage.
 struct Record {
@@ -193,7 +166,10 @@ private:
         if (error)
             throw IoError(fmt::format("cannot make the folder {}: {}", recipe_.out.string(),
                                       error.message()));
-        lock_ = std::make_unique<FolderLock>(cache_);
+        lock_ = std::make_unique<FolderLock>(
+            cache_, fmt::format("{} is in use by another run; wait for it or choose another folder "
+                                "with --set out=FOLDER",
+                                cache_.parent_path().string()));
         remove_stale_temporaries(cache_);
         remove_stale_temporaries(recipe_.out);
         check_target(recipe_.out / "manifest.json");

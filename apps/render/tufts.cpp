@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "apps/render/copies.h"
 #include "core/error.h"
 #include "core/noise.h"
 #include "core/random.h"
@@ -296,24 +297,8 @@ bool Tufts::intersect(Vec3f origin, Vec3f direction, float far, TuftHit& hit) co
     hit.tuft = query.hit.instID[0];
     hit.triangle = query.hit.primID;
 
-    // Distance and weights in double [Moeller1997]; Embree's distance for a ray within the plane.
     const Placed& p = state_->placed[hit.tuft];
-    const TuftShape& shape = state_->shapes[p.shape];
-    const auto& t = shape.triangles[hit.triangle];
-    const Vec3d a(p.world(shape.vertices[t[0]]));
-    const Vec3d e1 = Vec3d(p.world(shape.vertices[t[1]])) - a,
-                e2 = Vec3d(p.world(shape.vertices[t[2]])) - a, d(direction);
-    const Vec3d h = cross(d, e2), s = Vec3d(origin) - a, q = cross(s, e1);
-    const double det = dot(e1, h);
-    if (det == 0) {
-        hit.distance = static_cast<double>(query.ray.tfar);
-        hit.u = hit.v = 1.0f / 3;
-        return true;
-    }
-    const double u = std::clamp(dot(s, h) / det, 0.0, 1.0);
-    hit.u = static_cast<float>(u);
-    hit.v = static_cast<float>(std::clamp(dot(d, q) / det, 0.0, 1.0 - u));
-    hit.distance = std::max(0.0, dot(e2, q) / det);
+    refine(hit, p, state_->shapes[p.shape], origin, direction, query.ray.tfar);
     return true;
 }
 
@@ -326,14 +311,7 @@ bool Tufts::occluded(Vec3f origin, Vec3f direction, float far) const
 void Tufts::place(const TuftHit& hit, Vec3f& position, Vec3f& geometric, Vec3f& soft) const
 {
     const Placed& p = state_->placed[hit.tuft];
-    const TuftShape& shape = state_->shapes[p.shape];
-    const auto& t = shape.triangles[hit.triangle];
-    const Vec3f a = p.world(shape.vertices[t[0]]), e1 = p.world(shape.vertices[t[1]]) - a,
-                e2 = p.world(shape.vertices[t[2]]) - a;
-    position = a + e1 * hit.u + e2 * hit.v;
-    geometric = normalized(cross(e1, e2));
-    soft = p.turned(shape.normals[t[0]] * (1 - hit.u - hit.v) + shape.normals[t[1]] * hit.u +
-                    shape.normals[t[2]] * hit.v);
+    place_hit(hit, p, state_->shapes[p.shape], position, geometric, soft);
 }
 
 Material Tufts::material(const TuftHit& hit, const SurfacePoint& point) const
