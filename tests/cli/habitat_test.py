@@ -410,15 +410,6 @@ class InOtherPrograms(HabitatTest):
             at = living.transform.worldToIndex((r["x"], r["y"], r["z"]))
             self.assertLess(abs(sdf.getValue(tuple(math.floor(c + 0.5) for c in at))), 0.1, "roots stand on the surface")
 
-    @unittest.skipUnless(shutil.which("blender"), "Blender is not installed")
-    def test_blender_opens_scene_and_points(self):
-        self.moss_points()
-        seen = self.seen_by_blender(self.moss, self.folder / "moss.ply")
-        self.assertLessEqual({*UNITS, *PLAIN}, set(seen["grids"]))
-        count = next(g["active_voxels"] for g in self.info(self.moss)["grids"] if g["name"] == "moss")
-        self.assertEqual(seen["vertices"], len(self.moss_points().split(b"end_header\n", 1)[1]) //
-                         (len(self.moss_points().split(b"end_header\n", 1)[1]) // count))
-
 
 HEAD = "# latitude = 40 deg\n# longitude = 141 deg\ndate,temperature [C],humidity [%],precipitation [mm],wind_speed [m/s],sunshine [h]\n"
 

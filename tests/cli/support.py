@@ -187,37 +187,12 @@ def temporaries(folder):
     return [str(p) for p in Path(folder).rglob(".*.tmp")]
 
 
-# What Blender sees of a scene and of a PLY file.
-BLENDER = """
-import numpy
-numpy.bool = bool
-import bpy, json, sys
-bpy.ops.wm.read_factory_settings(use_empty=True)
-scene, mesh = sys.argv[sys.argv.index("--") + 1:]
-bpy.ops.object.volume_import(filepath=scene)
-volume = bpy.context.object.data
-volume.grids.load()
-grids = sorted(g.name for g in volume.grids)
-bpy.ops.import_mesh.ply(filepath=mesh)
-data = bpy.context.object.data
-print("RESULT " + json.dumps({"grids": grids, "vertices": len(data.vertices), "polygons": len(data.polygons)}))
-"""
-
-
 class CliTest(unittest.TestCase):
     """A test with a folder of its own, in which the program runs unless told otherwise."""
 
     def setUp(self):
         self.folder = Path(tempfile.mkdtemp(prefix="sekitei-test-"))
         self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
-
-    def seen_by_blender(self, scene, ply):
-        script = self.write("look.py", BLENDER)
-        done = subprocess.run(["blender", "--background", "--factory-startup", "--python", str(script), "--", str(scene), str(ply)],
-                              capture_output=True, text=True, timeout=200)
-        line = next((l for l in done.stdout.split("\n") if l.startswith("RESULT ")), None)
-        self.assertIsNotNone(line, done.stdout[-2000:] + done.stderr[-2000:])
-        return json.loads(line[7:])
 
     def run_in_folder(self, *arguments, **options):
         options.setdefault("cwd", self.folder)
