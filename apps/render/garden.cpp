@@ -216,6 +216,13 @@ void lay_mats(std::vector<Tuft>& moss, const std::vector<std::string>& species, 
         256);
 }
 
+void lay_mats(std::vector<Tuft>& moss, const std::vector<std::string>& species, double size,
+              const TriMesh& mesh, const Progress& progress)
+{
+    const rays::TriangleScene rays(mesh.vertices, mesh.triangles, "moss", progress);
+    lay_mats(moss, species, size, mesh, rays);
+}
+
 GardenLook::GardenLook(const std::vector<Piece>& pieces, std::uint64_t seed,
                        const Progress& progress)
     : key_(hash2(seed, Stream("render.garden").id))

@@ -21,6 +21,10 @@ TriMesh joined(const std::vector<Piece>& pieces);
 void lay_mats(std::vector<Tuft>& moss, const std::vector<std::string>& species, double size,
               const TriMesh& mesh, const rays::TriangleScene& rays);
 
+/// The same of all triangles of a mesh.
+void lay_mats(std::vector<Tuft>& moss, const std::vector<std::string>& species, double size,
+              const TriMesh& mesh, const Progress& progress);
+
 /// Bark of trees: plates and furrows along what stands upright, lichen in patches.
 Material bark_material(const SurfacePoint& point, std::uint64_t key);
 

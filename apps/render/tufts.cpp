@@ -162,7 +162,39 @@ TuftShape with_capsules(TuftShape shape, const TuftShape& more)
     return shape;
 }
 
+std::uint64_t key_of(std::uint64_t seed)
+{
+    return hash2(seed, Stream("render.tufts").id);
+}
+/// Where the random numbers of a plant begin.
+std::uint64_t own_number(std::int64_t id, std::size_t place)
+{
+    return 4 * (id >= 0 ? static_cast<std::uint64_t>(id) : place);
+}
+int sibling(std::uint64_t key, std::uint64_t own)
+{
+    return static_cast<int>(uniform_of_key(key, own) * kTuftModels);
+}
+
 }  // namespace
+
+TuftShape tuft_shape(const std::string& species, const TuftModel& which, bool ripe)
+{
+    TuftShape shape = tuft_shape(species, which);
+    return ripe ? with_capsules(std::move(shape), tuft_capsules(species, which)) : shape;
+}
+
+int tuft_sibling(std::uint64_t seed, std::int64_t id, std::size_t place)
+{
+    return sibling(key_of(seed), own_number(id, place));
+}
+
+Vec3f tuft_colour(const std::string& species, float height)
+{
+    return height > 1.5f   ? kStalk
+           : height > 1.1f ? kHair
+                           : leaf_colour(palette(species), {}, height);
+}
 
 struct Tufts::State {
     std::vector<TuftShape> shapes;  // kSlots a species, made when first needed
@@ -248,7 +280,7 @@ Tufts::Tufts(const std::vector<Tuft>& tufts, const std::vector<std::string>& spe
     State& s = *state_;
     s.species = species;
     s.size = size;
-    s.key = hash2(seed, Stream("render.tufts").id);
+    s.key = key_of(seed);
     s.shapes.resize(species.size() * kSlots);
     for (std::size_t i = 0; i < tufts.size(); ++i) {
         const Tuft& t = tufts[i];
@@ -257,18 +289,16 @@ Tufts::Tufts(const std::vector<Tuft>& tufts, const std::vector<std::string>& spe
             throw InvalidInput(fmt::format("render: moss {} is of species {}, must be 1 to {}", i,
                                            t.species, species.size()));
         if (!(t.scale > 0)) continue;
-        const std::uint64_t own = 4 * (t.id >= 0 ? static_cast<std::uint64_t>(t.id) : i);
+        const std::uint64_t own = own_number(t.id, i);
         TuftModel which;
-        which.model = static_cast<int>(uniform_of_key(s.key, own) * kTuftModels);
+        which.model = sibling(s.key, own);
         which.density = tuft_density(t.growth);
         const double far = length(t.position - view.eye) * view.pixel;
         which.lod = tuft_lod(far > 0 ? size * static_cast<double>(t.scale) / far : INFINITY);
         p.shape = slot(t, which);
         if (TuftShape& shape = s.shapes[p.shape]; shape.triangles.empty()) {
             const std::string& name = species[static_cast<std::size_t>(t.species - 1)];
-            shape = tuft_shape(name, which);
-            if (t.growth >= kRipe)
-                shape = with_capsules(std::move(shape), tuft_capsules(name, which));
+            shape = tuft_shape(name, which, t.growth >= kRipe);
         }
         s.triangles += s.shapes[p.shape].triangles.size();
         // Brighter or darker, yellower or bluer: each by itself, and in patches.

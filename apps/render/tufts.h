@@ -41,6 +41,15 @@ TuftShape tuft_shape(const std::string& species, const TuftModel& which);
 /// The stalks and capsules that this model bears when ripe: few on the first, more on the others.
 TuftShape tuft_capsules(const std::string& species, const TuftModel& which);
 
+/// Both in one where it is ripe.
+TuftShape tuft_shape(const std::string& species, const TuftModel& which, bool ripe);
+/// Which of the siblings stands for a plant.
+/// @param place  in the list, for plants without number
+int tuft_sibling(std::uint64_t seed, std::int64_t id, std::size_t place);
+/// Colour of a plant of half a year's moist growth.
+/// @param height  along the shoot, as in TuftShape
+Vec3f tuft_colour(const std::string& species, float height);
+
 /// Density 0 .. kTuftDensities - 1 of a moss of this growth.
 int tuft_density(float growth);
 /// Level of detail of a plant that is so many pixels wide in the picture.

@@ -105,16 +105,6 @@ bool in_the_way(const render::StandingTree& tree, Vec3d eye)
            std::hypot(d.x, d.y) < 1.0 + 0.75 * wide;
 }
 
-void drop_leaves(TriMesh& mesh)
-{
-    auto found = mesh.face_attributes.find("part");
-    if (found == mesh.face_attributes.end()) return;
-    auto& part = std::get<std::vector<std::int32_t>>(found->second);
-    const auto bark = std::ranges::lower_bound(part, 1) - part.begin();
-    part.resize(std::size_t(bark));
-    mesh.triangles.resize(std::size_t(bark));
-}
-
 /// The ground of a forest at any place.
 class Ground {
 public:
@@ -319,6 +309,34 @@ void add_herbs(render::Stuff& stuff, const Ground& ground, Vec3d eye, std::size_
 
 }  // namespace
 
+render::LeafColours leaf_colours(const std::string& species, bool needles, Season season)
+{
+    if (season == Season::Autumn)
+        return {{0.270f, 0.070f, 0.016f}, {0.420f, 0.235f, 0.030f}, {0.75f, 0.65f, 0.4f}};
+    if (season == Season::Blossom || (season == Season::Auto && species == "cherry"))
+        return {{0.620f, 0.400f, 0.440f}, {0.780f, 0.660f, 0.680f}, {0.60f, 0.52f, 0.54f}};
+    if (species.empty()) return {};
+    if (needles) return {{0.026f, 0.052f, 0.024f}, {0.055f, 0.085f, 0.034f}, {0.25f, 0.30f, 0.15f}};
+    if (species == "willow")
+        return {{0.085f, 0.125f, 0.036f}, {0.155f, 0.185f, 0.060f}, {0.85f, 0.95f, 0.45f}};
+    return {{0.048f, 0.092f, 0.022f}, {0.110f, 0.158f, 0.036f}, {0.90f, 1.00f, 0.45f}};
+}
+
+TreeLook tree_look(const tree::Species& kind, Season season)
+{
+    return {leaves_of(kind, season), dress_of(kind.name).bark};
+}
+
+void drop_leaves(TriMesh& mesh)
+{
+    auto found = mesh.face_attributes.find("part");
+    if (found == mesh.face_attributes.end()) return;
+    auto& part = std::get<std::vector<std::int32_t>>(found->second);
+    const auto bark = std::ranges::lower_bound(part, 1) - part.begin();
+    part.resize(std::size_t(bark));
+    mesh.triangles.resize(std::size_t(bark));
+}
+
 std::vector<std::string> forest_uses()
 {
     return {"forest_instances", "terrain_height", "ground_transmittance", "canopy_height"};
@@ -379,8 +397,9 @@ void add_forest(render::Stuff& stuff, const Scene& scene, Season season, double 
                                 "generation {}",
                                 m, kind.name, grown[m].variant, grown[m].generations));
             std::ranges::move(grown[m].mesh, made[m].mesh.begin());
-            made[m].leaves = leaves_of(kind, season);
-            made[m].bark = dress_of(kind.name).bark;
+            TreeLook look = tree_look(kind, season);
+            made[m].leaves = std::move(look.leaves);
+            made[m].bark = look.bark;
             if (season == Season::Bare && kind.model != tree::Model::Conifer)
                 for (TriMesh& mesh : made[m].mesh) drop_leaves(mesh);
         }

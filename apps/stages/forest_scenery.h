@@ -11,6 +11,7 @@
 #include "core/mesh.h"
 #include "core/progress.h"
 #include "grids/scene.h"
+#include "solvers/tree/species.h"
 
 /// A forest of a scene as trees and ground to draw.
 namespace sekitei::apps {
@@ -21,6 +22,19 @@ constexpr std::array<std::string_view, 5> choice_names(Season)
 {
     return {"auto", "green", "autumn", "blossom", "bare"};
 }
+
+/// Leaves of a single tree of this kind.
+/// @param species  empty: not known
+render::LeafColours leaf_colours(const std::string& species, bool needles, Season season);
+/// What trees of a forest of this kind look like: leaves, each tree has those of one of them, and
+/// the tint of their bark.
+struct TreeLook {
+    std::vector<render::LeafColours> leaves;
+    Vec3f bark{1};
+};
+TreeLook tree_look(const tree::Species& kind, Season season);
+/// Takes the leaves, which follow the bark, from a model.
+void drop_leaves(TriMesh& mesh);
 
 /// Names of the grids and points below.
 std::vector<std::string> forest_uses();

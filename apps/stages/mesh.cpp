@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "apps/stages/rock.h"
 #include "apps/stages/stages.h"
 #include "core/error.h"
 #include "grids/marching_tetrahedra.h"
@@ -30,6 +31,30 @@ struct MeshParams {
               "value at the surface; auto: half the largest value, 0 for level sets");
     }
 };
+
+/// Bytes at the peak: the mesh, its attributes and its file, beside the grids it comes from.
+double mesh_memory(double triangles)
+{
+    return 4e8 + triangles * 150;
+}
+constexpr double kTrianglesPerLeaf = 400;  // of a leaf that the surface meets
+
+double largest(const FloatGrid& grid)
+{
+    return parallel_fold(
+        grid.leaf_count(), 64, 0.0,
+        [&](std::size_t begin, std::size_t end) {
+            double most = 0;
+            for (std::size_t leaf = begin; leaf < end; ++leaf) {
+                if (const float* v = grid.values(leaf))
+                    most = std::max<double>(most, *std::max_element(v, v + kLeafSize));
+                else
+                    most = std::max<double>(most, grid.constant(leaf));
+            }
+            return most;
+        },
+        [](double a, double b) { return std::max(a, b); });
+}
 
 class MeshStage : public Stage {
 public:
@@ -71,12 +96,12 @@ public:
             const auto bytes =
                 double(std::filesystem::file_size(resolve(context, params_.file), unknown));
             outline.surface_cells = unknown ? 0 : bytes / 25;  // a binary PLY's share of a face
-            return {outline.surface_cells, memory(outline.surface_cells), unknown ? 0 : bytes};
+            return {outline.surface_cells, mesh_memory(outline.surface_cells), unknown ? 0 : bytes};
         }
         // A cube of n voxels has 6 n^(2/3) faces with about four triangles each; joints double
         // that.
         const double triangles = 50 * std::pow(std::max(1.0, outline.lava_voxels), 2.0 / 3);
-        return {outline.lava_voxels, memory(triangles), triangles * 38};
+        return {outline.lava_voxels, mesh_memory(triangles), triangles * 38};
     }
 
     Json run(Scene& scene, const StageContext& context) override
@@ -93,29 +118,8 @@ public:
             scene.meshes["rock"] = std::move(mesh);
             return summary;
         }
-        const FloatGrid& field = scene.floats(params_.grid);
-        check_memory("mesh", memory(kTrianglesPerLeaf * double(field.dense_leaf_count())),
-                     context.memory_limit);
-        const bool level_set = scene.grids.at(params_.grid).grid_class == GridClass::LevelSet;
-        double iso = 0;
-        if (params_.iso)
-            iso = *params_.iso;
-        else if (!level_set)
-            iso = 0.5 * largest(field);
-        TriMesh mesh = marching_tetrahedra(field, iso, context.progress.slice(0, 0.8));
-        if (level_set)  // inside is negative there: turn the surface to face out
-            for (auto& t : mesh.triangles) std::swap(t[1], t[2]);
-        if (mesh.triangles.empty())
-            throw InvalidInput(fmt::format(
-                "mesh: the grid '{}' nowhere crosses iso = {}; nothing is left of the rock",
-                params_.grid, iso));
-        if (scene.has("column") && scene.has("component") && scene.has("surface") &&
-            params_.grid == "density")
-            add_surface_attributes(
-                mesh,
-                SurfaceGrids{field, iso, scene.ints("column"), scene.ints("component"),
-                             scene.ints("surface"), nullptr, nullptr},
-                context.progress.slice(0.8, 1));
+        TriMesh mesh =
+            surface_of(scene, params_.grid, params_.iso, context.memory_limit, context.progress);
         Json summary = summary_of(mesh);
         scene.meshes["rock"] = std::move(mesh);
         return summary;
@@ -130,31 +134,34 @@ private:
                 {"area_m2", mesh.area()}};
     }
 
-    static double largest(const FloatGrid& grid)
-    {
-        return parallel_fold(
-            grid.leaf_count(), 64, 0.0,
-            [&](std::size_t begin, std::size_t end) {
-                double most = 0;
-                for (std::size_t leaf = begin; leaf < end; ++leaf) {
-                    if (const float* v = grid.values(leaf))
-                        most = std::max<double>(most, *std::max_element(v, v + kLeafSize));
-                    else
-                        most = std::max<double>(most, grid.constant(leaf));
-                }
-                return most;
-            },
-            [](double a, double b) { return std::max(a, b); });
-    }
-
-    /// Bytes at the peak: the mesh, its attributes and its file, beside the grids it comes from.
-    static double memory(double triangles) { return 4e8 + triangles * 150; }
-    static constexpr double kTrianglesPerLeaf = 400;  // of a leaf that the surface meets
-
     MeshParams params_;
 };
 
 }  // namespace
+
+TriMesh surface_of(const Scene& scene, const std::string& grid, const std::optional<double>& level,
+                   double memory_limit, const Progress& progress)
+{
+    const FloatGrid& field = scene.floats(grid);
+    check_memory("mesh", mesh_memory(kTrianglesPerLeaf * double(field.dense_leaf_count())),
+                 memory_limit);
+    const bool level_set = scene.grids.at(grid).grid_class == GridClass::LevelSet;
+    const double iso = level ? *level : level_set ? 0 : 0.5 * largest(field);
+    TriMesh mesh = marching_tetrahedra(field, iso, progress.slice(0, 0.8));
+    if (level_set)  // inside is negative there: turn the surface to face out
+        for (auto& t : mesh.triangles) std::swap(t[1], t[2]);
+    if (mesh.triangles.empty())
+        throw InvalidInput(
+            fmt::format("mesh: the grid '{}' nowhere crosses iso = {}; nothing is left of the rock",
+                        grid, iso));
+    if (scene.has("column") && scene.has("component") && scene.has("surface") && grid == "density")
+        add_surface_attributes(
+            mesh,
+            SurfaceGrids{field, iso, scene.ints("column"), scene.ints("component"),
+                         scene.ints("surface"), nullptr, nullptr},
+            progress.slice(0.8, 1));
+    return mesh;
+}
 
 std::unique_ptr<Stage> make_mesh()
 {

@@ -36,20 +36,6 @@ struct SliceChoice {
     }
 };
 
-render::LeafColours colours_of(const Crown& crown, Season season)
-{
-    if (season == Season::Autumn)
-        return {{0.270f, 0.070f, 0.016f}, {0.420f, 0.235f, 0.030f}, {0.75f, 0.65f, 0.4f}};
-    if (season == Season::Blossom || (season == Season::Auto && crown.species == "cherry"))
-        return {{0.620f, 0.400f, 0.440f}, {0.780f, 0.660f, 0.680f}, {0.60f, 0.52f, 0.54f}};
-    if (crown.species.empty()) return {};
-    if (crown.needles)
-        return {{0.026f, 0.052f, 0.024f}, {0.055f, 0.085f, 0.034f}, {0.25f, 0.30f, 0.15f}};
-    if (crown.species == "willow")
-        return {{0.085f, 0.125f, 0.036f}, {0.155f, 0.185f, 0.060f}, {0.85f, 0.95f, 0.45f}};
-    return {{0.048f, 0.092f, 0.022f}, {0.110f, 0.158f, 0.036f}, {0.90f, 1.00f, 0.45f}};
-}
-
 /// What is shown besides the rock.
 struct Scenery {
     bool moss = true;
@@ -193,8 +179,8 @@ private:
             if (!bark.triangles.empty()) stuff.pieces.push_back({&bark, render::Substance::Bark});
             for (const Crown& c : crown)
                 if (!c.leaves.triangles.empty())
-                    stuff.pieces.push_back(
-                        {&c.leaves, render::Substance::Foliage, colours_of(c, season)});
+                    stuff.pieces.push_back({&c.leaves, render::Substance::Foliage,
+                                            leaf_colours(c.species, c.needles, season)});
         }
     };
 
@@ -298,12 +284,7 @@ private:
             for (render::Tuft& tuft : stuff.moss) ++tuft.species;  // points count from 0
             if (const std::vector<std::string> names = species_names(scene); !names.empty())
                 stuff.species = names;
-            if (climate) stuff.moss_size = 1.6 * scene.floats("surf_area").transform().voxel;
-            // Mosses of a mesh know their host; they have a size of their own and stand closer.
-            if (const Json* made = params_of(scene, "moss");
-                made && scene.points.at("moss").attributes.contains("host") &&
-                made->contains("size"))
-                stuff.moss_size = 1.15 * (*made)["size"].get<double>();
+            stuff.moss_size = moss_size(scene).value_or(stuff.moss_size);
             if (scenery_.tuft_size) stuff.moss_size = *scenery_.tuft_size;
         }
         if (scenery_.photons && stuff.moss.empty() && scene.points.contains("photons")) {

@@ -126,6 +126,18 @@ TriMesh leaf_mesh(const Scene& scene)
     return all;
 }
 
+std::vector<LeafKind> leaf_kinds(const Scene& scene)
+{
+    std::vector<LeafKind> list;
+    const auto leaves = scene.points.find("leaves");
+    if (leaves != scene.points.end() && leaves->second.values<std::array<float, 4>>("orient") &&
+        leaves->second.values<std::int32_t>("species") && scene.points.contains("tree_skeleton"))
+        for (const tree::Species& kind : grove_record(scene).species)
+            list.push_back({kind.name, kind.model == tree::Model::Conifer});
+    if (list.empty()) list.emplace_back();
+    return list;
+}
+
 std::vector<Crown> crowns(const Scene& scene, double scale)
 {
     const auto found = scene.points.find("leaves");
@@ -137,15 +149,8 @@ std::vector<Crown> crowns(const Scene& scene, double scale)
     const auto* species = leaves.values<std::int32_t>("species");
     if (!n || !s)
         throw InvalidInput("the points 'leaves' need the attributes N (vec3s) and pscale (float)");
-    std::vector<Crown> list(1);
-    if (orient && species && scene.points.contains("tree_skeleton")) {
-        const GroveRecord record = grove_record(scene);
-        list.assign(std::max<std::size_t>(1, record.species.size()), {});
-        for (std::size_t k = 0; k < record.species.size(); ++k) {
-            list[k].species = record.species[k].name;
-            list[k].needles = record.species[k].model == tree::Model::Conifer;
-        }
-    }
+    std::vector<Crown> list;
+    for (LeafKind& kind : leaf_kinds(scene)) list.push_back({std::move(kind), {}});
     for (std::size_t i = 0; i < leaves.position.size(); ++i) {
         const std::size_t kind =
             species
@@ -161,6 +166,18 @@ std::vector<Crown> crowns(const Scene& scene, double scale)
             add_square(crown.leaves, leaves.position[i], Vec3d((*n)[i]), half);
     }
     return list;
+}
+
+std::optional<double> moss_size(const Scene& scene)
+{
+    // Mosses of a mesh know their host; they have a size of their own and stand closer.
+    const auto moss = scene.points.find("moss");
+    if (const Json* made = params_of(scene, "moss"); made && moss != scene.points.end() &&
+                                                     moss->second.attributes.contains("host") &&
+                                                     made->contains("size"))
+        return 1.15 * (*made)["size"].get<double>();
+    if (scene.has("surf_area")) return 1.6 * scene.floats("surf_area").transform().voxel;
+    return {};
 }
 
 TriMesh bark_mesh(const Scene& scene, const Progress& progress)
@@ -209,18 +226,20 @@ std::string nearest_field(const std::string& field)
     return near.empty() || near == field ? "" : fmt::format("; did you mean '{}'?", near);
 }
 
+std::vector<float> field_at_vertices(const TriMesh& mesh, const Grid& grid, const std::string& name)
+{
+    if (const auto* floats = std::get_if<FloatGrid>(&grid.values))
+        return around_vertices(mesh, *floats);
+    if (const auto* ints = std::get_if<IntGrid>(&grid.values)) return around_vertices(mesh, *ints);
+    throw InvalidInput(fmt::format("render: field = {}: the grid holds {}, expected numbers", name,
+                                   grid.type_name()));
+}
+
 TriMesh with_field(const TriMesh& mesh, const Scene& scene, const std::string& name,
                    const std::string& shown)
 {
     TriMesh painted = mesh;
-    const Grid& grid = scene.grids.at(name);
-    if (const auto* floats = std::get_if<FloatGrid>(&grid.values))
-        painted.vertex_attributes[shown] = around_vertices(mesh, *floats);
-    else if (const auto* ints = std::get_if<IntGrid>(&grid.values))
-        painted.vertex_attributes[shown] = around_vertices(mesh, *ints);
-    else
-        throw InvalidInput(fmt::format("render: field = {}: the grid holds {}, expected numbers",
-                                       name, grid.type_name()));
+    painted.vertex_attributes[shown] = field_at_vertices(mesh, scene.grids.at(name), name);
     return painted;
 }
 
