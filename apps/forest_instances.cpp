@@ -3,11 +3,11 @@
 #include <fmt/format.h>
 
 #include <bit>
-#include <cctype>
 #include <cmath>
 #include <cstring>
 #include <set>
 
+#include "apps/exchange/text.h"
 #include "core/error.h"
 #include "core/file_output.h"
 #include "core/math.h"
@@ -57,15 +57,6 @@ constexpr const char* ply_type()
     if constexpr (std::is_same_v<T, std::int32_t>) return "int";
 }
 
-/// A name that USD takes for a prim.
-std::string identifier(const std::string& name)
-{
-    std::string text;
-    for (const char c : name) text += std::isalnum(static_cast<unsigned char>(c)) ? c : '_';
-    if (text.empty() || std::isdigit(static_cast<unsigned char>(text[0]))) text.insert(0, 1, '_');
-    return text;
-}
-
 /// A trunk and a crown of few faces, as wide and high as a model's.
 TriMesh plain_shape(double radius, double base)
 {
@@ -95,63 +86,22 @@ TriMesh plain_shape(double radius, double base)
     return mesh;
 }
 
-/// Collects text and passes it on in large pieces.
-class Writer {
-public:
-    explicit Writer(const std::function<void(std::string_view)>& write) : write_(write) {}
-    template <class... Args>
-    void put(fmt::format_string<Args...> format, Args&&... args)
-    {
-        fmt::format_to(std::back_inserter(text_), format, std::forward<Args>(args)...);
-        if (text_.size() > 1 << 20) flush();
-    }
-    void flush()
-    {
-        write_(text_);
-        text_.clear();
-    }
-
-private:
-    const std::function<void(std::string_view)>& write_;
-    std::string text_;
-};
-
-void put_mesh(Writer& out, const TriMesh& mesh, const Bounds& box)
+void put_mesh(TextOut& out, const TriMesh& mesh, const Bounds& box)
 {
-    const std::string pad(12, ' ');
+    const std::string pad(12, ' '), inner(16, ' ');
     out.put("{}def Mesh \"shape\"\n{}{{\n", pad, pad);
-    out.put("{}    uniform bool doubleSided = 1\n", pad);
-    out.put("{}    float3[] extent = [({:.6g}, {:.6g}, {:.6g}), ({:.6g}, {:.6g}, {:.6g})]\n", pad,
-            box.lower.x, box.lower.y, box.lower.z, box.upper.x, box.upper.y, box.upper.z);
-    auto list = [&](const char* name, std::size_t count, auto&& item) {
-        out.put("{}    {} = [", pad, name);
-        for (std::size_t i = 0; i < count; ++i) {
-            if (i > 0) out.put(", ");
-            item(i);
-        }
-        out.put("]");
-    };
-    list("int[] faceVertexCounts", mesh.triangles.size(), [&](std::size_t) { out.put("3"); });
-    out.put("\n");
-    list("int[] faceVertexIndices", mesh.triangles.size(), [&](std::size_t i) {
-        const auto& t = mesh.triangles[i];
-        out.put("{}, {}, {}", t[0], t[1], t[2]);
-    });
-    out.put("\n");
-    list("point3f[] points", mesh.vertices.size(), [&](std::size_t i) {
-        const Vec3f p = plain_zero(mesh.vertices[i]);
-        out.put("({}, {}, {})", p.x, p.y, p.z);
-    });
-    out.put("\n");
+    out.put("{}uniform bool doubleSided = 1\n", inner);
+    put_usd_triangles(out, inner, mesh, box);
     const auto part = mesh.face_attributes.find("part");
     if (part != mesh.face_attributes.end())
         if (const auto* parts = std::get_if<std::vector<std::int32_t>>(&part->second)) {
-            list("color3f[] primvars:displayColor", parts->size(), [&](std::size_t i) {
-                out.put("{}", (*parts)[i] == 0 ? "(0.2, 0.14, 0.09)" : "(0.1, 0.2, 0.05)");
-            });
-            out.put(" (\n{}        interpolation = \"uniform\"\n{}    )\n", pad, pad);
+            put_usd_list(out, inner, "color3f[] primvars:displayColor", parts->size(),
+                         [&](std::size_t i, std::string& text) {
+                             text += (*parts)[i] == 0 ? "(0.2, 0.14, 0.09)" : "(0.1, 0.2, 0.05)";
+                         });
+            out.put(" (\n{}    interpolation = \"uniform\"\n{})\n", inner, inner);
         }
-    out.put("{}    uniform token subdivisionScheme = \"none\"\n{}}}\n", pad, pad);
+    out.put("{}uniform token subdivisionScheme = \"none\"\n{}}}\n", inner, pad);
 }
 
 template <class T>
@@ -295,7 +245,7 @@ void write_usda(const InstanceBlocks& instances, std::span<const Prototype> prot
     std::vector<Bounds> boxes(prototypes.size());
     for (std::size_t m = 0; m < prototypes.size(); ++m) {
         const Prototype& p = prototypes[m];
-        names.push_back(identifier(p.name));
+        names.push_back(usd_identifier(p.name));
         while (!taken.insert(names.back()).second) names.back() += fmt::format("_{}", m);
         const bool own = p.mesh && !p.mesh->triangles.empty();
         if (!own) plain[m] = plain_shape(p.crown_radius, p.crown_base);
@@ -325,7 +275,7 @@ void write_usda(const InstanceBlocks& instances, std::span<const Prototype> prot
     });
     if (extent.empty()) extent.add(Vec3d(0));
 
-    Writer out(write);
+    TextOut out(write, progress);
     out.put(
         "#usda 1.0\n(\n    defaultPrim = \"forest\"\n    doc = \"Trees of a forest by Sekitei\"\n"
         "    metersPerUnit = 1\n    upAxis = \"Z\"\n)\n\n"

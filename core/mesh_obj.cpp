@@ -9,6 +9,7 @@
 
 #include "core/error.h"
 #include "core/mesh_formats.h"
+#include "core/mesh_objects.h"
 
 // OBJ is read by code of our own: OpenMesh 9 drops groups, opens the material files that a mesh
 // names, and indexes its vertex list with whatever a face says.
@@ -314,15 +315,25 @@ std::vector<std::string> material_textures(std::string_view mtl,
 
 std::string write_obj(const TriMesh& mesh, const Progress& progress)
 {
+    ObjCounts counts;
+    return "# Sekitei: metres, z up\n" + obj_object(mesh, counts, progress);
+}
+
+}  // namespace sekitei::mesh_format
+
+namespace sekitei {
+
+std::string obj_object(const TriMesh& mesh, ObjCounts& counts, const Progress& progress)
+{
     auto vectors = [&](const char* name) -> const std::vector<Vec3f>* {
         const auto found = mesh.vertex_attributes.find(name);
         return found == mesh.vertex_attributes.end()
                    ? nullptr
                    : std::get_if<std::vector<Vec3f>>(&found->second);
     };
-    const auto* normals = vectors(kNormal);
-    const auto* colours = vectors(kColour);
-    std::string out = "# Sekitei: metres, z up\n";
+    const auto* normals = vectors(mesh_format::kNormal);
+    const auto* colours = vectors(mesh_format::kColour);
+    std::string out;
     auto to = std::back_inserter(out);
     for (std::size_t i = 0; i < mesh.vertices.size(); ++i) {
         progress.check();
@@ -341,7 +352,7 @@ std::string write_obj(const TriMesh& mesh, const Progress& progress)
         }
 
     // Equal texture coordinates are written once.
-    const auto texture = texture_of(mesh);
+    const auto texture = mesh_format::texture_of(mesh);
     std::vector<std::uint64_t> pairs;
     const auto pair_of = [&](std::size_t k, std::uint32_t t) {
         const Vec3f uv = (*texture[k])[t];
@@ -382,16 +393,21 @@ std::string write_obj(const TriMesh& mesh, const Progress& progress)
         out += 'f';
         for (std::size_t k = 0; k < 3; ++k) {
             const std::uint32_t v = mesh.triangles[t][k];
-            fmt::format_to(to, " {}", v + 1);
+            fmt::format_to(to, " {}", counts.vertices + v + 1);
             if (texture[0])
                 fmt::format_to(to, "/{}",
                                std::lower_bound(pairs.begin(), pairs.end(), pair_of(k, t)) -
-                                   pairs.begin() + 1);
-            if (normals) fmt::format_to(to, "{}{}", texture[0] ? "/" : "//", v + 1);
+                                   pairs.begin() + 1 +
+                                   static_cast<std::ptrdiff_t>(counts.textures));
+            if (normals)
+                fmt::format_to(to, "{}{}", texture[0] ? "/" : "//", counts.normals + v + 1);
         }
         out += '\n';
     }
+    counts.vertices += mesh.vertices.size();
+    if (normals) counts.normals += normals->size();
+    counts.textures += pairs.size();
     return out;
 }
 
-}  // namespace sekitei::mesh_format
+}  // namespace sekitei
