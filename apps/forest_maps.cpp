@@ -643,6 +643,33 @@ Raster<float> read_terrain(const TerrainParams& params, const ForestFrame& frame
                            : terrain_of_picture(params, path, frame);
 }
 
+void take_land(forest::Land& land, const Scene& scene, const ForestFrame& frame)
+{
+    auto fill = [&]<class T>(Raster<T>& raster, const char* name, auto&& value) {
+        if (!raster.empty() || !scene.has(name)) return;
+        const FloatGrid& grid = scene.floats(name);
+        raster = Raster<T>(frame.width, frame.depth, value(grid.background()));
+        GridReader<float> reader(grid);
+        for (int j = 0; j < frame.depth; ++j) {
+            for (int i = 0; i < frame.width; ++i) {
+                const Vec3d at = grid.transform().voxels(frame.corner +
+                                                         Vec3d(i + 0.5, j + 0.5, 0) * frame.pixel);
+                const float here = reader.value({int(std::floor(at.x)), int(std::floor(at.y)), 0});
+                if (!std::isfinite(here))
+                    throw InvalidInput(fmt::format(
+                        "grid '{}': {} at pixel ({}, {}) of the forest, must be a finite number",
+                        name, here, i, j));
+                raster.set(i, j, value(here));
+            }
+            if (j % Raster<T>::kEdge == Raster<T>::kEdge - 1) raster.compress();
+        }
+        raster.compress();
+    };
+    fill(land.ground, kGroundHeight, [&](float z) { return float(double(z) - frame.corner.z); });
+    fill(land.blocked_height, kBlockedHeight, [](float h) { return h; });
+    fill(land.plantable, kPlantable, [](float p) { return std::uint8_t(p != 0); });
+}
+
 Image16 map_image(const DensityMap& map)
 {
     Image16 image(map.width(), map.depth(), 1);

@@ -103,6 +103,14 @@ void validate(const TerrainParams& params);
 forest::Raster<float> read_terrain(const TerrainParams& params, const ForestFrame& frame,
                                    const StageContext& context);
 
+/// Grids of one layer that a scene may bring a forest: height of the ground in the world [m], of
+/// rocks above it [m], 0 where nothing may germinate.
+inline constexpr const char *kGroundHeight = "ground_height", *kBlockedHeight = "blocked_height",
+                            *kPlantable = "plantable";
+/// Fills those rasters of `land` that are empty from them; each pixel takes the voxel that its
+/// middle lies in, beyond them their background.
+void take_land(forest::Land& land, const Scene& scene, const ForestFrame& frame);
+
 /// A picture of a map, north up.
 Image16 map_image(const forest::DensityMap& map);
 Image8 mask_image(const forest::Raster<std::uint8_t>& mask);

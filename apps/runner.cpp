@@ -596,6 +596,12 @@ private:
         const Json summary =
             process.info().reads_many ? process.run_many(parents_of(i), c) : process.run(scene_, c);
         clear_progress_line();
+        if (process.info().reads_many && process.info().output == OutputKind::Scene) {
+            for (const std::string& name : process.makes()) move_item(name, process.new_scene, scene_);
+            scene_.domain = process.new_scene.domain;
+            scene_.heat_domain = process.new_scene.heat_domain;
+            process.new_scene = {};
+        }
 
         // Keep the result: the file first, the record that vouches for it last.
         const fs::path result = result_path(i, key);

@@ -15,11 +15,11 @@ namespace sekitei::apps {
 namespace {
 
 using Factory = std::unique_ptr<Stage> (*)();
-constexpr Factory kFactories[] = {make_lava,         make_cool,       make_joint, make_weather,
-                                  make_mesh,         make_lantern,    make_light, make_wind,
-                                  make_soil,         make_moss,       make_tree,  make_forest,
-                                  make_render,       make_statistics, make_plot,  make_sketch,
-                                  make_distribution, make_compare,    make_export};
+constexpr Factory kFactories[] = {make_lava,   make_cool,         make_joint,      make_weather,
+                                  make_mesh,   make_lantern,      make_garden,     make_light,
+                                  make_wind,   make_soil,         make_moss,       make_tree,
+                                  make_forest, make_render,       make_statistics, make_plot,
+                                  make_sketch, make_distribution, make_compare,    make_export};
 
 }  // namespace
 

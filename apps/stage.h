@@ -104,6 +104,8 @@ public:
     /// In place of run() where StageInfo::reads_many; scenes with the names of what made them.
     virtual Json run_many(const std::vector<std::pair<std::string, Scene>>& scenes,
                           const StageContext& context);
+    /// Scene stages that read many leave theirs here.
+    Scene new_scene;
     /// Picture stages leave their result here.
     Image8 picture;
     /// Table stages leave theirs here, as lines of comma-separated values; Points as PLY.

@@ -429,8 +429,10 @@ int command_stage(const std::string& name, const std::vector<std::string>& input
     }
     const Json summary = [&] {
         try {
-            return stage->info().reads_many ? stage->run_many(scenes, context)
-                                            : stage->run(scene, context);
+            if (!stage->info().reads_many) return stage->run(scene, context);
+            Json numbers = stage->run_many(scenes, context);
+            scene = std::move(stage->new_scene);
+            return numbers;
         } catch (const InvalidInput& error) {
             if (inputs.empty() || inputs.front() == "-" ||
                 blames_own_file(*stage, context, error.what()))

@@ -74,9 +74,9 @@ Material foliage(const SurfacePoint& p, const LeafColours& colours, std::uint64_
     return m;
 }
 
-/// What grows and lies on the ground of a forest and around it.
-/// @param light  that comes through the crowns: 0 litter alone, 1 a meadow
-Material floor(const SurfacePoint& p, float light, std::uint64_t key)
+}  // namespace
+
+Material ground_cover(const SurfacePoint& p, float light, std::uint64_t key)
 {
     Material m;
     m.normal = p.normal;
@@ -111,8 +111,6 @@ Material floor(const SurfacePoint& p, float light, std::uint64_t key)
     m.albedo = mix(m.albedo, {0.105f, 0.088f, 0.068f}, steep);
     return m;
 }
-
-}  // namespace
 
 Material bark_material(const SurfacePoint& p, std::uint64_t key)
 {
@@ -240,6 +238,7 @@ GardenLook::GardenLook(const std::vector<Piece>& pieces, std::uint64_t seed,
         if (piece.substance == Substance::Rock) {
             rocks_.push_back(std::make_unique<RockLook>(*piece.mesh, seed, progress));
             part.rock = rocks_.back().get();
+            meadow_ = meadow_ || part.rock->has_soil();
         }
         parts_.push_back(part);
         first += piece.mesh->triangles.size();
@@ -274,7 +273,7 @@ Material GardenLook::surface(const SurfacePoint& point) const
                                                  (*part.light)[t[1]] * point.u +
                                                  (*part.light)[t[2]] * point.v
                                            : 0;
-            return floor(point, light, key_);
+            return ground_cover(point, light, key_);
         }
         case Substance::Rock:
             break;
@@ -286,7 +285,7 @@ Material GardenLook::surface(const SurfacePoint& point) const
 
 Material GardenLook::ground(const SurfacePoint& point) const
 {
-    if (meadow_) return floor(point, 1, key_);
+    if (meadow_) return ground_cover(point, 1, key_);
     return rocks_.front()->ground(point);
 }
 

@@ -24,6 +24,9 @@ void lay_mats(std::vector<Tuft>& moss, const std::vector<std::string>& species, 
 /// The same of all triangles of a mesh.
 void lay_mats(std::vector<Tuft>& moss, const std::vector<std::string>& species, double size,
               const TriMesh& mesh, const Progress& progress);
+/// What grows and lies on the ground of a forest and around it.
+/// @param light  that comes through the crowns: 0 litter alone, 1 a meadow
+Material ground_cover(const SurfacePoint& point, float light, std::uint64_t key);
 
 /// Bark of trees: plates and furrows along what stands upright, lichen in patches.
 Material bark_material(const SurfacePoint& point, std::uint64_t key);
@@ -48,7 +51,7 @@ private:
     std::vector<Part> parts_;
     std::vector<std::unique_ptr<RockLook>> rocks_;
     std::uint64_t key_;
-    bool meadow_ = false;  ///< around a forest
+    bool meadow_ = false;  ///< around a forest or a garden
 };
 
 }  // namespace sekitei::render

@@ -5,11 +5,15 @@
 #include <cmath>
 
 #include "apps/render/fast_math.h"
+#include "apps/render/garden.h"
 #include "core/parallel.h"
 #include "core/random.h"
 
 namespace sekitei::render {
 namespace {
+
+/// Light on the soil of a garden, for what grows there by itself.
+constexpr float kGardenLight = 0.38f;
 
 float smooth(float low, float high, float x)
 {
@@ -197,6 +201,7 @@ RockLook::RockLook(const TriMesh& mesh, std::uint64_t seed, const Progress& prog
     : mesh_(mesh), key_(static_cast<std::uint32_t>(hash2(seed, Stream("render.rock").id)))
 {
     surface_ = integers(mesh, "surface", surface_per_face_);
+    has_soil_ = surface_ && std::find(surface_->begin(), surface_->end(), 6) != surface_->end();
     find_columns(seed, progress);
     measure_columns(progress);
     find_joints(progress);
@@ -377,16 +382,21 @@ Material RockLook::surface(const SurfacePoint& p) const
         Vec3f colour;
         float weathered, roughness, rubble;
     };
-    static constexpr std::array<Class, 6> kClasses{{
+    static constexpr std::array<Class, 8> kClasses{{
         {{0.134f, 0.124f, 0.112f}, 0.80f, 0.62f, 0.5f},   // joint wall
         {{0.088f, 0.093f, 0.098f}, 0.15f, 0.50f, 0.9f},   // cut face
         {{0.165f, 0.108f, 0.078f}, 0.60f, 0.85f, 2.2f},   // cooling contact
         {{0.112f, 0.108f, 0.104f}, 0.40f, 0.70f, 1.2f},   // slow contact
         {{0.138f, 0.130f, 0.112f}, 1.00f, 0.75f, 1.3f},   // terrain
         {{0.140f, 0.138f, 0.136f}, 0.05f, 0.65f, 0.35f},  // domain edge
+        {{0.060f, 0.050f, 0.035f}, 0.00f, 1.00f, 1.0f},   // soil, see below
+        {{0.235f, 0.225f, 0.205f}, 0.70f, 0.80f, 0.30f},  // dressed granite
     }};
+    constexpr int kSoil = 6, kDressed = 7;
+    if (at.surface == kSoil) return ground_cover(p, kGardenLight, key_);
     const Class& look =
-        kClasses[at.surface >= 0 && at.surface < 6 ? static_cast<std::size_t>(at.surface) : 0];
+        kClasses[at.surface >= 0 && at.surface <= kDressed ? static_cast<std::size_t>(at.surface)
+                                                           : 0];
 
     Vec3f colour = look.colour * column.value;
     colour.x *= 1 + 0.10f * column.warmth;

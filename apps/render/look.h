@@ -75,7 +75,8 @@ private:
 
 /// Basalt. `column` gives each column a colour, shine and grain of its own, `surface` its history
 /// (0 joint wall, weathered grey-brown; 1 cut face, fresh blue-grey; 2 cooling contact, oxidised
-/// crust; 3 slow contact; 4 terrain, with lichen; 5 edge of the domain, plain). Attributes may be
+/// crust; 3 slow contact; 4 terrain, with lichen; 5 edge of the domain, plain;
+/// 6 soil; 7 dressed granite). Attributes may be
 /// of vertices or triangles, or missing. Detail below the mesh's size is gradient noise in world
 /// space, in units of the column width found from the mesh; striae run across each column's axis,
 /// which is the direction its wall normals share least.
@@ -86,6 +87,8 @@ public:
     Material surface(const SurfacePoint& point) const override;
     Material ground(const SurfacePoint& point) const override;
 
+    /// Whether some of it is soil.
+    bool has_soil() const { return has_soil_; }
     double column_width() const { return static_cast<double>(width_); }  ///< [m]
 
 private:
@@ -111,7 +114,7 @@ private:
     std::vector<float> joint_;          // of vertices: 1 where triangles of different columns meet
     bool slots_per_face_ = true;
     const std::vector<std::int32_t>* surface_ = nullptr;
-    bool surface_per_face_ = true;
+    bool surface_per_face_ = true, has_soil_ = false;
 };
 
 }  // namespace sekitei::render

@@ -210,12 +210,16 @@ std::string cell(const std::string& text)
 
 struct CompareParams {
     int figure = 0;
+    bool coupling = false;
 
     static void describe(auto&& field)
     {
         field("figure", &CompareParams::figure, "", between(0, 57),
               "the figure of the paper whose criteria are looked at: of trees 1, 5, 6, 10 to 14 or "
               "16, of forests 48 (4.8), 49, 51 (5.1), 52, 54 to 57; 0: habitats of moss");
+        field("coupling", &CompareParams::coupling,
+              "how leaves, pond and stones of the first scene, a garden, act on one another: the "
+              "others lack one of them");
     }
 };
 
@@ -237,6 +241,7 @@ public:
     }
     std::vector<std::string> needs() override
     {
+        if (params_.coupling) return {};
         if (params_.figure == 0) return info().needs;
         if (is_forest_figure(params_.figure))
             return {"forest_trees", "forest_growth", "canopy_height"};
@@ -244,6 +249,9 @@ public:
     }
     std::vector<std::string> uses() override
     {
+        if (params_.coupling)
+            return {"air_tables", "water_surface", "canopy_lad", "leaves",     "surf_area",
+                    "light_S",    "soil_rh",       "soil_theta", "moss_cover", "tree_growth"};
         if (params_.figure == 0) return {"air_tables", "zones"};
         if (is_forest_figure(params_.figure)) return {};
         return {"tree_growth", "tree_buds"};
@@ -252,6 +260,8 @@ public:
     void validate() override
     {
         validate_described("compare", params_);
+        if (params_.coupling && params_.figure != 0)
+            throw InvalidParameter("compare: figure and coupling: give one of the two");
         if (params_.figure != 0 && !is_tree_figure(params_.figure) &&
             !is_forest_figure(params_.figure))
             throw InvalidParameter(
@@ -271,10 +281,11 @@ public:
         const bool forests = is_forest_figure(params_.figure);
         if (scenes.size() < (forests ? 1 : 2))
             throw InvalidParameter("compare: needs two scenes or more");
-        std::vector<Line> lines = forests               ? forest_lines(params_.figure, scenes)
+        std::vector<Line> lines = params_.coupling      ? garden_lines(scenes)
+                                  : forests             ? forest_lines(params_.figure, scenes)
                                   : params_.figure != 0 ? tree_lines(params_.figure, scenes)
                                                         : roof_lines(scenes);
-        if (params_.figure == 0 && lines.empty()) {
+        if (params_.figure == 0 && !params_.coupling && lines.empty()) {
             std::vector<Habitat> all;
             for (const auto& [name, scene] : scenes) all.push_back(habitat_of(name, scene));
             for (std::size_t k = 1; k < all.size(); ++k) add(lines, all[0], all[k]);

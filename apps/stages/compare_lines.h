@@ -92,4 +92,9 @@ std::vector<Line> forest_lines(int figure,
 std::string forest_figures();
 bool is_forest_figure(int figure);
 
+/// How parts of a garden act on one another: the first scene, which has everything, beside others
+/// that lack leaves, the pond or the stones. Each gives the lines that its grids allow.
+/// @throws InvalidInput  nothing can be compared
+std::vector<Line> garden_lines(const std::vector<std::pair<std::string, Scene>>& scenes);
+
 }  // namespace sekitei::apps

@@ -222,7 +222,12 @@ public:
     bool reads_scene() override { return false; }
     std::vector<std::string> uses() override
     {
-        return {"forest_trees", "forest_growth", "forest_fallen", "canopy_height"};
+        std::vector<std::string> names{"forest_trees", "forest_growth", "forest_fallen",
+                                       "canopy_height"};
+        if (terrain_.terrain.empty()) names.emplace_back(kGroundHeight);
+        if (params_.plantable.empty()) names.emplace_back(kPlantable);
+        if (params_.blocked_height.empty()) names.emplace_back(kBlockedHeight);
+        return names;
     }
     std::vector<std::string> makes() override
     {
@@ -234,7 +239,7 @@ public:
             for (const char* name :
                  {"canopy_lad", "canopy_transmittance", "canopy_RU", "ground_transmittance"})
                 names.emplace_back(name);
-        if (params_.canopy && !terrain_.terrain.empty()) names.emplace_back("terrain_height");
+        if (params_.canopy) names.emplace_back("terrain_height");
         if (params_.canopy && params_.occupancy)
             for (const char* name : {"forest_occupancy", "forest_density"})
                 names.emplace_back(name);
@@ -362,7 +367,7 @@ public:
             warn_unused(*this, {"occupancy", "extinction", "drag", "sun"}, "without canopy");
     }
 
-    void check_files(const StageContext& context) override { read_inputs(context); }
+    void check_files(const StageContext& context) override { read_inputs(context, {}); }
 
     Need estimate(SceneOutline& outline, const StageContext&) override
     {
@@ -378,7 +383,7 @@ public:
     {
         stopped.clear();
         for (const fs::path& file : side_files()) check_target(resolve(context, file));
-        forest::Inputs inputs = read_inputs(context);
+        forest::Inputs inputs = read_inputs(context, scene);
         check_initial(inputs, context);
         check_memory("forest", memory(inputs), context.memory_limit,
                      params_.out_of_core.empty() ? "make it smaller, or keep it in a folder with "
@@ -421,8 +426,8 @@ private:
         return {frame(), inputs.bands(), inputs.species, inputs.seed};
     }
 
-    /// Reads all files that parameters name.
-    forest::Inputs read_inputs(const StageContext& context)
+    /// Reads all files that parameters name; where they name none, the land is that of a scene.
+    forest::Inputs read_inputs(const StageContext& context, const Scene& scene)
     {
         forest::Inputs inputs = bare();
         inputs.seed = context.seed;
@@ -438,6 +443,7 @@ private:
         if (!params_.blocked_height.empty())
             land.blocked_height =
                 read_map("blocked_height", params_.blocked_height, pixels, context);
+        take_land(land, scene, pixels);
         land.factors = read_environment(params_.environment, pixels, context);
         auto given = [&](const char* name) {
             return std::ranges::any_of(land.factors,

@@ -32,6 +32,7 @@ std::unique_ptr<Stage> make_joint();
 std::unique_ptr<Stage> make_weather();
 std::unique_ptr<Stage> make_mesh();
 std::unique_ptr<Stage> make_lantern();
+std::unique_ptr<Stage> make_garden();
 std::unique_ptr<Stage> make_light();
 std::unique_ptr<Stage> make_wind();
 std::unique_ptr<Stage> make_soil();
