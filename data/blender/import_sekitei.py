@@ -120,6 +120,7 @@ class Glb:
         self.about = asset.get("extras", {}).get("sekitei", {})
         if "version" in self.about:
             check_version(path, str(self.about["version"]))
+        self.whole = "fields" in self.about
         unknown = set(self.tree.get("extensionsRequired", []))
         if unknown:
             raise Problem(f"{path}: requires {', '.join(sorted(unknown))}, unknown here")
@@ -148,7 +149,12 @@ class Glb:
     def name_of(self, attribute):
         """The plain name of a custom attribute: `_LIGHT_S` is light_S."""
         told = self.about.get("fields", {}).get(attribute, {})
-        return told.get("name") or attribute.lstrip("_").lower()
+        return plain_name(told.get("name") or attribute.lstrip("_").lower())
+
+
+def plain_name(name):
+    """Cycles takes some names for grids of volumes, and then reads nothing on meshes."""
+    return name + "_value" if name in ("color", "density", "flame", "heat", "temperature", "velocity") else name
 
 
 PLY_TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "<i2", "int16": "<i2", "ushort": "<u2", "uint16": "<u2",
@@ -219,7 +225,7 @@ def eulers(quaternions):
 
 # Linear colours where the file tells none.
 COLOURS = {"rock": (0.095, 0.09, 0.085), "ground": (0.16, 0.115, 0.075), "water": (0.75, 0.88, 0.86), "obstacle": (0.24, 0.16, 0.09),
-           "bark": (0.12, 0.085, 0.06), "leaves": (0.09, 0.2, 0.04), "moss": (0.1, 0.19, 0.04)}
+           "bark": (0.12, 0.085, 0.06), "leaves": (0.09, 0.2, 0.04), "moss": (0.08, 0.14, 0.028)}
 
 
 class Nodes:
@@ -269,7 +275,7 @@ class Nodes:
         self.connect(colour[:3] if isinstance(colour, tuple) else colour, node.inputs[0])
         return node.outputs[0]
 
-    def noise(self, scale, detail=6.0, vector=None, rough=0.55):
+    def noise(self, scale, detail=3.0, vector=None, rough=0.55):
         return self.add("ShaderNodeTexNoise", {"Scale": scale, "Detail": detail, "Roughness": rough, "Vector": vector}).outputs["Fac"]
 
     def random(self, number):
@@ -317,7 +323,7 @@ def climate(n, colour, rough, names, place):
         colour = n.scaled(colour, n.ramp(wet, 0.0, 1.0, 1.0, 0.55))
         rough = n.math("SUBTRACT", rough, n.math("MULTIPLY", wet, 0.3))
     if "moss_cover" in names:
-        fleck = n.noise(35.0, 8.0, place, 0.65)
+        fleck = n.noise(30.0, 5.0, place, 0.7)
         share = n.ramp(n.math("ADD", n.attribute("moss_cover"), n.math("MULTIPLY", n.math("SUBTRACT", fleck, 0.5), 0.9)), 0.25, 0.6)
         green = n.mix(n.noise(4.0, 4.0, place), rgba((0.045, 0.09, 0.018)), rgba((0.12, 0.17, 0.03)))
         colour = n.mix(share, colour, green)
@@ -332,38 +338,43 @@ def rock_material(n, base, names):
     column = first(names, "column_id", "column")
     if column:
         value, tint = n.random(n.attribute(column))
-        colour = n.mix(0.12, n.scaled(colour, n.ramp(value, 0.0, 1.0, 0.72, 1.3)), tint, "SOFT_LIGHT")
+        colour = n.mix(0.05, n.scaled(colour, n.ramp(value, 0.0, 1.0, 0.6, 1.2)), tint, "SOFT_LIGHT")
     if "component" in names:
         value, _ = n.random(n.math("ADD", n.attribute("component"), 0.5))
         colour = n.scaled(colour, n.ramp(value, 0.0, 1.0, 0.94, 1.06))
     if "surface" in names:
         # 0 joints, weathered brown; 1 fresh breaks, lighter and bluer; 2, 3 the rind where the flow met air and ground.
         kind = n.attribute("surface")
-        rust = n.ramp(n.noise(2.2, 5.0, place), 0.45, 0.75, 0.0, 0.45)
+        rust = n.ramp(n.noise(1.7, 5.0, place, 0.65), 0.48, 0.7, 0.0, 0.55)
         joint = n.math("LESS_THAN", kind, 0.5)
-        colour = n.mix(n.math("MULTIPLY", joint, rust), colour, rgba((0.17, 0.1, 0.055)))
+        colour = n.mix(n.math("MULTIPLY", joint, rust), colour, rgba((0.15, 0.095, 0.055)))
         fresh = n.math("COMPARE", kind, 1.0)
         colour = n.mix(n.math("MULTIPLY", fresh, 0.35), colour, rgba((0.2, 0.21, 0.22)))
         rind = n.math("GREATER_THAN", kind, 1.5)
         colour = n.mix(n.math("MULTIPLY", rind, 0.35), colour, rgba((0.13, 0.1, 0.08)))
-    # Grain, stains and pale crusts.
-    colour = n.scaled(colour, n.ramp(n.noise(1.1, 6.0, place), 0.3, 0.7, 0.72, 1.25))
-    colour = n.scaled(colour, n.ramp(n.noise(90.0, 4.0, place), 0.3, 0.7, 0.75, 1.25))
-    crust = n.ramp(n.noise(14.0, 8.0, place, 0.7), 0.62, 0.7, 0.0, 0.35)
-    colour = n.mix(crust, colour, rgba((0.27, 0.27, 0.23)))
+    # Stains, grain and pale crusts.
+    colour = n.scaled(colour, n.ramp(n.noise(1.1, 5.0, place), 0.3, 0.7, 0.7, 1.3))
+    grain = n.noise(32.0, 5.0, place, 0.7)
+    colour = n.scaled(colour, n.ramp(grain, 0.3, 0.7, 0.65, 1.35))
+    crust = n.ramp(n.noise(9.0, 6.0, place, 0.7), 0.6, 0.68, 0.0, 0.4)
+    colour = n.mix(crust, colour, rgba((0.26, 0.26, 0.22)))
     colour, rough = climate(n, colour, rough, names, place)
-    height = n.math("ADD", n.noise(9.0, 8.0, place, 0.6), n.math("MULTIPLY", n.noise(70.0, 4.0, place), 0.35))
-    n.end(n.principled(**{"Base Color": colour, "Roughness": rough, "Specular": 0.3, "Normal": n.bump(height, 0.55, 0.02)}))
+    n.end(n.principled(**{"Base Color": colour, "Roughness": rough, "Specular": 0.3, "Normal": n.bump(grain, 0.6, 0.02)}))
 
 
 def ground_material(n, base, names):
+    """Earth and small stones; where the scene knows no moss of its own, a film of green in patches."""
     place = position(n)
-    colour = n.scaled(rgba(base), n.ramp(n.noise(0.35, 8.0, place, 0.6), 0.3, 0.7, 0.6, 1.35))
+    colour = n.scaled(rgba(base), n.ramp(n.noise(0.35, 5.0, place, 0.6), 0.3, 0.7, 0.6, 1.35))
     stones = n.add("ShaderNodeTexVoronoi", {"Scale": 28.0, "Vector": place})
     grain = n.add("ShaderNodeSeparateColor", {"Color": stones.outputs["Color"]}).outputs[0]
     colour = n.scaled(colour, n.ramp(grain, 0.0, 1.0, 0.7, 1.3))
+    fine = n.noise(7.0, 6.0, place, 0.7)
+    if "moss_cover" not in names:
+        patches = n.math("ADD", n.noise(0.22, 4.0, place, 0.6), n.math("MULTIPLY", n.math("SUBTRACT", fine, 0.5), 0.5))
+        colour = n.mix(n.ramp(patches, 0.44, 0.56, 0.0, 0.85), colour, n.mix(fine, rgba((0.035, 0.06, 0.012)), rgba((0.13, 0.15, 0.04))))
     colour, rough = climate(n, colour, 0.95, names, place)
-    height = n.math("SUBTRACT", n.noise(6.0, 8.0, place, 0.65), n.math("MULTIPLY", stones.outputs["Distance"], 0.5))
+    height = n.math("SUBTRACT", fine, n.math("MULTIPLY", stones.outputs["Distance"], 0.4))
     n.end(n.principled(**{"Base Color": colour, "Roughness": rough, "Specular": 0.2, "Normal": n.bump(height, 0.6, 0.03)}))
 
 
@@ -382,7 +393,7 @@ def water_material(n, base, names):
 
 def wood_material(n, base, names):
     place = n.add("ShaderNodeMapping", {"Vector": position(n), "Scale": (1.0, 1.0, 0.18)}).outputs[0]
-    furrows = n.noise(38.0, 8.0, place, 0.6)
+    furrows = n.noise(38.0, 5.0, place, 0.65)
     colour = n.scaled(rgba(base), n.ramp(furrows, 0.3, 0.7, 0.45, 1.5))
     colour, rough = climate(n, colour, 0.9, names, position(n))
     n.end(n.principled(**{"Base Color": colour, "Roughness": rough, "Specular": 0.2, "Normal": n.bump(furrows, 0.7, 0.02)}))
@@ -402,19 +413,17 @@ def leaf_material(n, base, names):
 
 
 def moss_material(n, base, names):
-    """Plants differ a little; small ones are a lighter, yellower green; tips are lighter than what they grow from."""
-    chance = n.add("ShaderNodeObjectInfo").outputs["Random"]
-    growth = n.attribute("growth", of_instance=True)
-    young = n.ramp(growth, 0.0, 1.0, 1.0, 0.0)
-    colour = n.mix(n.math("MULTIPLY", young, 0.4), rgba(base), rgba((0.19, 0.24, 0.035)))
-    colour = n.add("ShaderNodeHueSaturation", {"Hue": n.ramp(chance, 0.0, 1.0, 0.48, 0.515), "Saturation": n.ramp(chance, 0.0, 1.0, 0.9, 1.12),
-                                               "Value": n.ramp(chance, 0.0, 1.0, 0.7, 1.25), "Color": colour}).outputs[0]
-    if "color" in names:
-        shade = n.add("ShaderNodeVertexColor", layer_name="color").outputs["Color"]
-        colour = n.mix(1.0, colour, shade, "MULTIPLY")
+    """Plants differ a little; young ones are a lighter, yellower green; tips are lighter than what they grow from."""
+    colour = rgba(base)
+    if "tint" in names:
+        colour = n.mix(1.0, colour, n.add("ShaderNodeAttribute", attribute_name="tint").outputs["Color"], "MULTIPLY")
     elif "height" in names:
         colour = n.scaled(colour, n.ramp(n.attribute("height"), 0.0, 1.0, 0.45, 1.35))
-    colour = n.scaled(colour, n.ramp(n.noise(120.0, 2.0, position(n)), 0.3, 0.7, 0.8, 1.2))
+    young = n.ramp(n.attribute("growth", of_instance=True), 0.0, 1.5, 1.0, 0.0)
+    colour = n.mix(n.math("MULTIPLY", young, 0.6), colour, rgba((1.5, 1.25, 0.9)), "MULTIPLY")
+    chance = n.add("ShaderNodeObjectInfo").outputs["Random"]
+    colour = n.add("ShaderNodeHueSaturation", {"Hue": n.ramp(chance, 0.0, 1.0, 0.485, 0.515), "Saturation": n.ramp(chance, 0.0, 1.0, 0.9, 1.1),
+                                               "Value": n.ramp(chance, 0.0, 1.0, 0.75, 1.3), "Color": colour}).outputs[0]
     leaf = n.principled(**{"Base Color": colour, "Roughness": 0.75, "Specular": 0.15})
     through = n.add("ShaderNodeBsdfTranslucent", {"Color": colour}).outputs[0]
     mixed = n.add("ShaderNodeMixShader", {"Fac": 0.25})
@@ -441,7 +450,7 @@ def kind_of_material(name):
 def make_material(name, kind, base, names):
     """A material that reads those attributes of `names` it knows; the same for meshes that have the same ones."""
     read = frozenset(names) & {"column_id", "column", "component", "surface", "soil_rh", "wetness", "soil_theta", "soil_water", "moss_cover",
-                               "color", "height"}
+                               "tint", "height"}
     for material in bpy.data.materials:
         if material.get("sekitei") == name and set(material["reads"].split()) == read:
             return material
@@ -517,7 +526,7 @@ def make_mesh(name, parts):
 def add_attribute(mesh, name, values, domain="POINT"):
     values = np.asarray(values)
     width = 1 if values.ndim == 1 else values.shape[1]
-    if name == "color" and width >= 3:
+    if name == "tint" and width >= 3:
         values = np.concatenate([values[:, :3], np.ones((len(values), 1))], 1)
         attribute = mesh.attributes.new(name, "FLOAT_COLOR", domain)
         attribute.data.foreach_set("color", values.astype(np.float32).ravel())
@@ -651,8 +660,16 @@ class Importer:
 
     # -- from .glb
 
-    def read_glb(self, path):
-        glb = Glb(path)
+    def read_glbs(self, paths):
+        """Where one has the whole scene, meshes by themselves stand in it already."""
+        files = [Glb(path) for path in paths]
+        for glb in [f for f in files if f.whole] or files:
+            self.read_glb(glb)
+        if not self.surfaces and not self.copies:
+            raise Problem(f"{paths[0]}: nothing to show")
+
+    def read_glb(self, glb):
+        path = glb.path
         nodes, seen = glb.tree.get("nodes", []), set()
         scenes = glb.tree.get("scenes") or [{"nodes": list(range(len(nodes)))}]
         stack = [(k, np.eye(4)) for k in scenes[glb.tree.get("scene", 0)].get("nodes", [])]
@@ -680,9 +697,6 @@ class Importer:
                 thing = self.add_copies(glb, name, extras, prototypes[node["mesh"]], copies["attributes"])
             turn = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)
             thing.matrix_world = Matrix((turn @ place @ turn.T).tolist())
-        if not self.surfaces and not self.copies:
-            raise Problem(f"{path}: nothing to show")
-        self.species = glb.about.get("species", [])
 
     @staticmethod
     def matrix(node):
@@ -712,7 +726,7 @@ class Importer:
             triangles = glb.array(primitive["indices"]).reshape(-1, 3) if "indices" in primitive else np.arange(len(co)).reshape(-1, 3)
             attributes = {glb.name_of(k): glb.array(v) for k, v in given.items() if k.startswith("_")}
             if "COLOR_0" in given:
-                attributes["color"] = glb.array(given["COLOR_0"])
+                attributes["tint"] = glb.array(given["COLOR_0"])
             for key, values in attributes.items():
                 if len(values) != len(co):
                     raise Problem(f"{glb.path}: mesh {number}: {key} has {len(values)} values for {len(co)} vertices")
@@ -770,10 +784,10 @@ class Importer:
         name = path.stem
         kind = next((k for k in ("ground", "water", "bark", "leaves") if k in name.lower()), "rock")
         plain = {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha"}
-        attributes = {k: v for k, v in vertices.items() if k not in plain}
-        faces = {k: v for k, v in faces.items() if k not in plain}
+        attributes = {plain_name(k): v for k, v in vertices.items() if k not in plain}
+        faces = {plain_name(k): v for k, v in faces.items() if k not in plain}
         if "red" in vertices:
-            attributes["color"] = np.stack([vertices[c] / (255 if vertices[c].dtype.kind == "u" else 1) for c in ("red", "green", "blue")], 1)
+            attributes["tint"] = np.stack([vertices[c] / (255 if vertices[c].dtype.kind == "u" else 1) for c in ("red", "green", "blue")], 1)
         material = make_material(kind, kind, COLOURS[kind], {**attributes, **faces})
         normals = np.stack([vertices[c] for c in ("nx", "ny", "nz")], 1) if "nx" in vertices else None
         self.add_surface(name, kind, [Part(co, triangles, material, normals, None, attributes, faces).checked(path)])
@@ -895,6 +909,12 @@ class Importer:
                 break
             except TypeError:  # not in this Blender
                 continue
+        for look in ("AgX - Medium High Contrast", "Medium High Contrast"):
+            try:
+                scene.view_settings.look = look
+                break
+            except TypeError:
+                continue
         scene.view_settings.exposure = self.options.exposure
         scene.render.resolution_x, scene.render.resolution_y = self.options.width, self.options.height
         scene.render.resolution_percentage = 100
@@ -921,7 +941,7 @@ class Importer:
             # From the south-south-west, so near that what is not ground or forest fills the picture.
             low, high = self.box("rock", "obstacle") or self.box("bark", "leaves") or (low, high)
             middle, reach = Vector((low + high) / 2), float(np.linalg.norm(high - low)) / 2
-            side = Vector((-0.45, -1.0, 0.42)).normalized()
+            side = Vector((-0.5, -1.0, 0.24)).normalized()
             narrow = min(data.angle, 2 * math.atan(math.tan(data.angle / 2) * self.options.height / self.options.width))
             eye, target = middle + side * (0.85 * reach / math.sin(narrow / 2)), middle
         if (eye - target).length < 1e-6:
@@ -976,8 +996,7 @@ def build(options):
     importer = Importer(options)
     meshes = [o for o in outputs if o.suffix == ".glb"]
     if meshes:
-        for output in meshes:
-            importer.read_glb(output.check())
+        importer.read_glbs([o.check() for o in meshes])
     else:
         grids = [g for o in outputs for g in o.entry.get("grids", [])]
         importer.read_plies([o.check() for o in outputs if o.suffix == ".ply"], grids)
