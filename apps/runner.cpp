@@ -67,6 +67,49 @@ Bounds bounds_from(const Json& j)
     return b;
 }
 
+/// A record with a hash of its other members, so that damage to its file is found.
+std::string sealed(Json record)
+{
+    record["seal"] = hash_hex(record.dump());
+    return record.dump(1);
+}
+
+/// What sealed() was given; null where the text is damaged.
+Json unsealed(const std::string& text)
+{
+    Json record = Json::parse(text, nullptr, false);
+    if (!record.is_object()) return nullptr;
+    const Json seal = record.value("seal", Json());
+    record.erase("seal");
+    return seal == hash_hex(record.dump()) ? record : Json();
+}
+
+/// The entries of a state that are of the kind a run leaves there: a damaged file may hold others.
+Json plausible(Json state)
+{
+    if (!state.is_object()) state = Json::object();
+    auto keep = [&](const char* member, auto&& good) {
+        Json& part = state[member];
+        if (!part.is_object()) part = Json::object();
+        for (auto entry = part.begin(); entry != part.end();)
+            good(*entry) ? ++entry : entry = part.erase(entry);
+    };
+    auto has = [](const Json& entry, std::initializer_list<const char*> names, auto&& good) {
+        return entry.is_object() && std::all_of(names.begin(), names.end(), [&](const char* name) {
+                   return entry.contains(name) && good(entry[name]);
+               });
+    };
+    auto text = [](const Json& value) { return value.is_string(); };
+    auto object = [](const Json& value) { return value.is_object(); };
+    keep("owned", text);
+    keep("outputs", [&](const Json& entry) { return has(entry, {"key", "hash"}, text); });
+    keep("last", [&](const Json& entry) {
+        return has(entry, {"params", "files", "inputs", "recalled"}, object) &&
+               has(entry, {"stage", "version", "seed"}, [](const Json&) { return true; });
+    });
+    return state;
+}
+
 /// Whether a PLY file is a mesh: its header speaks of faces.
 bool has_faces(const fs::path& path)
 {
@@ -151,8 +194,7 @@ private:
         visible_.resize(recipe_.stages.size());
         outlines_.resize(recipe_.stages.size());
         records_.resize(recipe_.stages.size());
-        if (fs::exists(cache_ / "state.json")) state_ = read_json(cache_ / "state.json");
-        if (state_.is_null() || !state_.is_object()) state_ = Json::object();
+        if (fs::exists(cache_ / "state.json")) state_ = plausible(read_json(cache_ / "state.json"));
         require_input_files(recipe_, selected_);
         if (options_.dry_run) return;
         refuse_foreign_manifest();
@@ -212,7 +254,17 @@ private:
         try {
             return Json::parse(read_file(path, 1u << 28));
         } catch (const std::exception&) {
-            return nullptr;  // a damaged record is no record: the stage runs again
+            return nullptr;
+        }
+    }
+
+    /// A damaged record is no record: the stage runs again.
+    static Json read_record(const fs::path& path)
+    {
+        try {
+            return unsealed(read_file(path, 1u << 28));
+        } catch (const InvalidInput&) {
+            return nullptr;
         }
     }
 
@@ -342,7 +394,7 @@ private:
     {
         const fs::path path = record_path(i, key);
         if (!fs::exists(path)) return {};
-        Record record{read_json(path)};
+        Record record{read_record(path)};
         if (!record.exists() || record.json.value("key", "") != key) {
             reason = "its kept result is damaged";
             return {};
@@ -558,7 +610,7 @@ private:
                     load(name, item);
             // A run that goes on does not write again what an interrupted one wrote.
             if (fs::exists(c.checkpoint)) {
-                if (fs::exists(frames_file)) frames = read_json(frames_file);
+                if (fs::exists(frames_file)) frames = read_record(frames_file);
                 bool whole = frames.is_object();
                 if (whole)
                     for (const auto& [name, hash] : frames.items())
@@ -590,7 +642,7 @@ private:
                 write_vdb(recipe_.out / name, frame, {}, c.progress.slice(1, 1));
                 frames[name] = file_hash(recipe_.out / name);
                 state_["owned"][name] = frames[name];
-                write_file(frames_file, frames.dump());
+                write_file(frames_file, sealed(frames));
             };
         }
         const Json summary =
@@ -671,7 +723,7 @@ private:
         if (!mesh_hash.empty()) record.json["mesh_hash"] = file_hash(mesh_path(i, key), keeping);
         if (makes_mesh(process))
             record.json["bounds"] = bounds_json(scene_.meshes.at("rock").bounds());
-        write_file(record_path(i, key), record.json.dump(1));
+        write_file(record_path(i, key), sealed(record.json));
         std::error_code ignored;
         fs::remove(frames_file, ignored);
         adopt(i, std::move(items), record);
@@ -902,12 +954,18 @@ private:
         std::set<std::string> unselected;
         for (std::size_t i = 0; i < recipe_.stages.size(); ++i)
             if (!selected_[i]) unselected.insert(stage(i).name);
-        for (const Json& entry : old.value("stages", Json::array()))
-            if (unselected.contains(entry.value("name", ""))) stages.push_back(entry);
-        for (const Json& entry : old.value("outputs", Json::array())) {
-            const fs::path file = recipe_.out / entry.value("path", "");
-            if (unselected.contains(entry.value("stage", "")) && fs::is_regular_file(file) &&
-                file_hash(file) == entry.value("hash", ""))
+        // Somebody may have changed it: entries that are not ours are left out.
+        auto members = [&](const char* list) { return old.value(list, Json::array()); };
+        auto text = [](const Json& entry, const char* name) -> std::string {
+            const bool there = entry.is_object() && entry.contains(name) && entry[name].is_string();
+            return there ? entry[name].get<std::string>() : "";
+        };
+        for (const Json& entry : members("stages"))
+            if (unselected.contains(text(entry, "name"))) stages.push_back(entry);
+        for (const Json& entry : members("outputs")) {
+            const fs::path file = recipe_.out / text(entry, "path");
+            if (unselected.contains(text(entry, "stage")) && fs::is_regular_file(file) &&
+                file_hash(file) == text(entry, "hash"))
                 outputs.push_back(entry);
         }
     }

@@ -3,6 +3,7 @@
 #include <charconv>
 #include <sstream>
 
+#include "apps/points_csv.h"
 #include "apps/stages/stages.h"
 #include "core/error.h"
 #include "core/file_output.h"
@@ -21,35 +22,6 @@ struct Files {
         field("seeds", &Files::seeds, "CSV of seed points x,y,z [m] to use instead of sampling");
     }
 };
-
-/// Points from lines of "x,y,z"; empty lines and lines that start with # are skipped.
-std::vector<Vec3d> read_points_csv(const std::filesystem::path& path)
-{
-    std::vector<Vec3d> points;
-    std::istringstream lines(read_file(path, 1ull << 30));
-    std::size_t number = 0;
-    for (std::string line; std::getline(lines, line);) {
-        ++number;
-        if (!line.empty() && line.back() == '\r') line.pop_back();
-        if (line.empty() || line.front() == '#') continue;
-        Vec3d p;
-        const char* at = line.data();
-        const char* const end = line.data() + line.size();
-        for (int axis = 0; axis < 3; ++axis) {
-            while (at < end && (*at == ' ' || *at == ',' || *at == '\t')) ++at;
-            const auto [next, error] = std::from_chars(at, end, p[axis]);
-            if (error != std::errc{} || !std::isfinite(p[axis]))
-                throw InvalidInput(
-                    fmt::format("{}:{}: '{}' is not a point; expected three numbers x,y,z [m]",
-                                path.string(), number, line.substr(0, 60)));
-            at = next;
-        }
-        points.push_back(p);
-    }
-    if (points.empty())
-        throw InvalidInput(path.string() + ": no points in it; expected lines x,y,z [m]");
-    return points;
-}
 
 class JointStage : public Stage {
 public:
@@ -135,6 +107,34 @@ private:
 };
 
 }  // namespace
+
+std::vector<Vec3d> read_points_csv(const std::filesystem::path& path)
+{
+    std::vector<Vec3d> points;
+    std::istringstream lines(read_file(path, 1ull << 30));
+    std::size_t number = 0;
+    for (std::string line; std::getline(lines, line);) {
+        ++number;
+        if (!line.empty() && line.back() == '\r') line.pop_back();
+        if (line.empty() || line.front() == '#') continue;
+        Vec3d p;
+        const char* at = line.data();
+        const char* const end = line.data() + line.size();
+        for (int axis = 0; axis < 3; ++axis) {
+            while (at < end && (*at == ' ' || *at == ',' || *at == '\t')) ++at;
+            const auto [next, error] = std::from_chars(at, end, p[axis]);
+            if (error != std::errc{} || !std::isfinite(p[axis]))
+                throw InvalidInput(
+                    fmt::format("{}:{}: '{}' is not a point; expected three numbers x,y,z [m]",
+                                path.string(), number, line.substr(0, 60)));
+            at = next;
+        }
+        points.push_back(p);
+    }
+    if (points.empty())
+        throw InvalidInput(path.string() + ": no points in it; expected lines x,y,z [m]");
+    return points;
+}
 
 std::unique_ptr<Stage> make_joint()
 {

@@ -7,6 +7,7 @@
 
 #include "apps/climate.h"
 #include "apps/stages/stages.h"
+#include "apps/wind_checkpoint.h"
 #include "core/error.h"
 #include "core/file_output.h"
 #include "core/hash.h"
@@ -16,67 +17,6 @@ namespace sekitei::apps {
 namespace {
 
 namespace fs = std::filesystem;
-
-/// A checkpoint: hash of the rest, then CBOR of what it belongs to and of the state.
-std::string encode(const wind::State& state, const std::string& identity)
-{
-    Json json = {{"wind", 1},
-                 {"identity", identity},
-                 {"garden", state.garden},
-                 {"object", state.object},
-                 {"warnings", state.warnings},
-                 {"A_U", state.tables.speed},
-                 {"A_T", state.tables.temperature},
-                 {"A_q", state.tables.humidity},
-                 {"direction", state.tables.direction},
-                 {"layers", state.tables.layers},
-                 {"layer_base", state.tables.layer_base},
-                 {"layer_height", state.tables.layer_height}};
-    for (const std::vector<float>& ratios : state.arrival) {
-        std::vector<std::uint8_t> bytes(ratios.size() * sizeof(float));
-        if (!bytes.empty()) std::memcpy(bytes.data(), ratios.data(), bytes.size());
-        json["arrival"].push_back(Json::binary(std::move(bytes)));
-    }
-    const std::vector<std::uint8_t> packed = Json::to_cbor(json);
-    const std::string body(packed.begin(), packed.end());
-    return hash_hex(body) + body;
-}
-
-wind::State decode(const std::string& bytes, const std::string& where, const std::string& identity)
-{
-    constexpr std::size_t kHash = 32;
-    if (bytes.size() < kHash || hash_hex(bytes.substr(kHash)) != bytes.substr(0, kHash))
-        throw InvalidInput(fmt::format("{}: a damaged checkpoint; remove it to begin anew", where));
-    try {
-        const Json json = Json::from_cbor(bytes.begin() + kHash, bytes.end());
-        if (json.at("wind") != 1 || json.at("identity") != identity)
-            throw InvalidInput(fmt::format(
-                "{}: a checkpoint of another scene or of other parameters; remove it to begin anew",
-                where));
-        wind::State state;
-        state.garden = json.at("garden");
-        state.object = json.at("object");
-        state.warnings = json.at("warnings");
-        state.tables.speed = json.at("A_U");
-        state.tables.temperature = json.at("A_T");
-        state.tables.humidity = json.at("A_q");
-        state.tables.direction = json.at("direction");
-        state.tables.layers = json.at("layers").get<std::vector<wind::AirTables::Table>>();
-        state.tables.layer_base = json.at("layer_base");
-        state.tables.layer_height = json.at("layer_height");
-        for (std::size_t k = 0; k < 8; ++k) {
-            const auto& binary = json.at("arrival").at(k).get_binary();
-            state.arrival[k].resize(binary.size() / sizeof(float));
-            if (!binary.empty())
-                std::memcpy(state.arrival[k].data(), binary.data(),
-                            state.arrival[k].size() * sizeof(float));
-        }
-        return state;
-    } catch (const Json::exception& error) {
-        throw InvalidInput(
-            fmt::format("{}: not a checkpoint of the wind: {}", where, error.what()));
-    }
-}
 
 class WindStage : public Stage {
 public:
@@ -136,15 +76,15 @@ public:
                 if (scene.has(name)) all += name + content_hash(scene.grids.at(name));
             identity = hash_hex(all);
             if (fs::exists(file)) {
-                before = decode(read_file(file, 1ull << 36), file.string(), identity);
+                before = decode_wind(read_file(file, 1ull << 36), file.string(), identity);
                 log::info("wind: going on where an earlier run stopped");
             }
         }
-        const wind::Result result = wind::run(inputs, params, context.progress.slice(0.01, 1),
-                                              std::move(before), [&](const wind::State& state) {
-                                                  if (!file.empty())
-                                                      write_file(file, encode(state, identity));
-                                              });
+        const wind::Result result =
+            wind::run(inputs, params, context.progress.slice(0.01, 1), std::move(before),
+                      [&](const wind::State& state) {
+                          if (!file.empty()) write_file(file, encode_wind(state, identity));
+                      });
         for (const std::string& note : result.notes) {
             if (std::find(plan.notes.begin(), plan.notes.end(), note) == plan.notes.end())
                 log::warning("wind: {}", note);
@@ -176,6 +116,67 @@ private:
 };
 
 }  // namespace
+
+std::string encode_wind(const wind::State& state, const std::string& identity)
+{
+    Json json = {{"wind", 1},
+                 {"identity", identity},
+                 {"garden", state.garden},
+                 {"object", state.object},
+                 {"warnings", state.warnings},
+                 {"A_U", state.tables.speed},
+                 {"A_T", state.tables.temperature},
+                 {"A_q", state.tables.humidity},
+                 {"direction", state.tables.direction},
+                 {"layers", state.tables.layers},
+                 {"layer_base", state.tables.layer_base},
+                 {"layer_height", state.tables.layer_height}};
+    for (const std::vector<float>& ratios : state.arrival) {
+        std::vector<std::uint8_t> bytes(ratios.size() * sizeof(float));
+        if (!bytes.empty()) std::memcpy(bytes.data(), ratios.data(), bytes.size());
+        json["arrival"].push_back(Json::binary(std::move(bytes)));
+    }
+    const std::vector<std::uint8_t> packed = Json::to_cbor(json);
+    const std::string body(packed.begin(), packed.end());
+    return hash_hex(body) + body;
+}
+
+wind::State decode_wind(const std::string& bytes, const std::string& where,
+                        const std::string& identity)
+{
+    constexpr std::size_t kHash = 32;
+    if (bytes.size() < kHash || hash_hex(bytes.substr(kHash)) != bytes.substr(0, kHash))
+        throw InvalidInput(fmt::format("{}: a damaged checkpoint; remove it to begin anew", where));
+    try {
+        const Json json = Json::from_cbor(bytes.begin() + kHash, bytes.end());
+        if (json.at("wind") != 1 || json.at("identity") != identity)
+            throw InvalidInput(fmt::format(
+                "{}: a checkpoint of another scene or of other parameters; remove it to begin anew",
+                where));
+        wind::State state;
+        state.garden = json.at("garden");
+        state.object = json.at("object");
+        state.warnings = json.at("warnings");
+        state.tables.speed = json.at("A_U");
+        state.tables.temperature = json.at("A_T");
+        state.tables.humidity = json.at("A_q");
+        state.tables.direction = json.at("direction");
+        state.tables.layers = json.at("layers").get<std::vector<wind::AirTables::Table>>();
+        state.tables.layer_base = json.at("layer_base");
+        state.tables.layer_height = json.at("layer_height");
+        for (std::size_t k = 0; k < 8; ++k) {
+            const auto& binary = json.at("arrival").at(k).get_binary();
+            state.arrival[k].resize(binary.size() / sizeof(float));
+            if (!binary.empty())
+                std::memcpy(state.arrival[k].data(), binary.data(),
+                            state.arrival[k].size() * sizeof(float));
+        }
+        return state;
+    } catch (const Json::exception& error) {
+        throw InvalidInput(
+            fmt::format("{}: not a checkpoint of the wind: {}", where, error.what()));
+    }
+}
 
 std::unique_ptr<Stage> make_wind()
 {

@@ -269,6 +269,13 @@ bool within(double x, double y, const Inputs& inputs)
     return x >= 0 && x < inputs.width && y >= 0 && y < inputs.depth;
 }
 
+/// Whether a tree of a file can be one of this forest.
+bool belongs(const Tree& tree, const Inputs& inputs)
+{
+    return within(tree.x, tree.y, inputs) && tree.species < inputs.species.size() &&
+           tree.height > 0 && tree.height <= std::max(1.0, inputs.species[tree.species].max_height);
+}
+
 [[noreturn]] void reject_twins(std::uint64_t uid, double ax, double ay, double bx, double by)
 {
     throw InvalidInput(fmt::format(
@@ -306,8 +313,7 @@ void Forest::resume(int step, std::vector<Tree> trees)
     size_ = 0;
     step_ = step;
     for (const Tree& tree : trees) {
-        if (!within(tree.x, tree.y, inputs_) || tree.species >= inputs_.species.size() ||
-            !(tree.height > 0) || !std::isfinite(tree.height))
+        if (!belongs(tree, inputs_))
             throw InvalidInput(fmt::format(
                 "forest: tree {:016x} at ({}, {}) m, {} m high, of species {}: not of this forest",
                 tree.uid, tree.x, tree.y, tree.height, tree.species + 1));
@@ -899,6 +905,9 @@ void Forest::load_row(int step, int row)
         tile.resize(counts[std::size_t(x)]);
         if (!tile.empty()) std::memcpy(tile.data(), from, tile.size() * sizeof(Tree));
         from += tile.size() * sizeof(Tree);
+        for (const Tree& tree : tile)
+            if (!belongs(tree, inputs_) || tile_of(tree.x, tree.y) != row * tiles_x_ + x)
+                damaged("a tree in it is not of this forest");
     }
 }
 
