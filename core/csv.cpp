@@ -141,9 +141,9 @@ void Problems::throw_if_any() const
     if (count_ == 0) return;
     std::string all;
     for (const auto& [place, texts] : texts_) {
+        const std::string where = fmt::format("{}:{}:{}: ", file_, place.first, place.second);
         auto line = [&](const std::string& text) {
-            all += fmt::format("{}{}:{}:{}: {}", all.empty() ? "" : "\n", file_, place.first,
-                               place.second, text);
+            all += (all.empty() ? "" : "\n") + where + text;
         };
         // Alike but for their numbers.
         auto shape = [](std::string text) {
