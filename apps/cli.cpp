@@ -286,6 +286,30 @@ void add_tool_commands(CLI::App& program, Commands& commands)
         };
     }
     {
+        Command& c = add("view");
+        c.app
+            ->add_option("input", c.files,
+                         "folder with manifest.json; or scenes (.vdb) in their order, with further "
+                         "meshes; or a .glb with the scene that explains it")
+            ->type_name("FILE")
+            ->required();
+        c.app
+            ->add_option("-o,--output", c.common.output,
+                         "page to write (default: view.html in the folder, else beside the scene)")
+            ->type_name("FILE.html")
+            ->allow_extra_args(false)
+            ->group("General");
+        c.app->add_flag("--force", c.common.force, "replace an existing file")->group("General");
+        c.app
+            ->add_option("--moss-lod", c.text,
+                         "detail of moss plants: 0 finest, 1, 2 coarsest (default 1)")
+            ->type_name("N");
+        c.run = [&c](const Common& common) {
+            const int lod = c.text.empty() ? 1 : int(whole_number(c.text, "--moss-lod", 2));
+            return command_view(c.files, lod, common);
+        };
+    }
+    {
         Command& c = add("verify");
         c.app->add_option("files", c.files, "scenes (.vdb) or manifests (.json)")
             ->type_name("FILE")

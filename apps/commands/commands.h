@@ -41,6 +41,9 @@ int command_verify(const std::vector<std::string>& files, const Common& common);
 /// @param face  number of a face of the mesh beside the scene as given; empty: `at` says where
 int command_explain(const std::string& file, const std::string& at, const std::string& face,
                     const Common& common);
+/// Writes a web page of a folder with manifest.json, of scenes or of a .glb.
+/// @param moss_lod  see AssemblyOptions
+int command_view(const std::vector<std::string>& inputs, int moss_lod, const Common& common);
 int command_schema(const std::string& stage, bool markdown);
 int command_completions(const std::string& shell);
 /// Writes the models of plants that `render` draws into the folder common.output names.

@@ -57,7 +57,7 @@ std::string bash_script()
         "  esac\n"
         "    COMPREPLY=($(compgen -f -- \"$word\"))\n}}\ncomplete -o filenames -F _sekitei "
         "sekitei\n",
-        "--set --only --dry-run --at --full --markdown --tolerance " +
+        "--set --only --dry-run --at --full --markdown --tolerance --moss-lod " +
             fmt::format("{}", fmt::join(kCommonOptions, " ")));
     return text;
 }

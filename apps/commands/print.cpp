@@ -20,6 +20,7 @@ const std::vector<CommandInfo>& tool_commands()
         {"replay", "print a recipe that makes a scene again"},
         {"diff", "compare two scenes or meshes"},
         {"explain", "say why a moss does or does not grow at one cell of a surface"},
+        {"view", "write a web page that turns a scene, shows its fields and explains it"},
         {"verify", "compare files with their recorded hashes"},
         {"schema", "describe all stages for programs, or as a reference page"},
         {"specimens", "grow models of trees in several heights as meshes, for instancing"},

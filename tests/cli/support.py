@@ -34,7 +34,7 @@ HABITAT = ["lantern", "light", "wind", "soil", "moss"]
 TREES = ["tree", "sketch"]
 FOREST = ["forest", "distribution"]
 STAGES = [*ROCK, *HABITAT, *TREES, *FOREST, "render", "statistics", "plot", "compare", "export"]
-TOOLS = ["run", "check", "info", "replay", "diff", "explain", "verify", "schema", "specimens", "tufts", "completions"]
+TOOLS = ["run", "check", "info", "replay", "diff", "explain", "verify", "view", "schema", "specimens", "tufts", "completions"]
 # Values of parameters that a stage cannot do without, as in recipes; spring_weather() makes the file.
 REQUIRED = {"light": {"weather": "days.csv"}}
 
