@@ -16,6 +16,7 @@
 #include <thread>
 
 #include "apps/commands/commands.h"
+#include "apps/commands/export.h"
 #include "apps/console.h"
 #include "apps/stage.h"
 #include "core/error.h"
@@ -120,7 +121,7 @@ Common understood(const CommonWords& words, std::size_t& threads)
 struct Command {
     CLI::App* app = nullptr;
     CommonWords common;
-    std::vector<std::string> files, set, only;
+    std::vector<std::string> files, set, only, to;
     std::map<std::string, std::string> words;  // parameters of a stage
     std::map<std::string, bool> flags;
     std::string stage, shell, text, at, face;
@@ -159,11 +160,21 @@ void add_stage_command(CLI::App& program, Commands& commands, const StageInfo& i
         c.app
             ->add_option(info.reads_if_given ? "scene,--from" : "scene", c.files,
                          info.reads_many ? "scenes to read (.vdb)"
+                         : info.output == OutputKind::Points
+                             ? "scene (.vdb) and meshes; several scenes make sequences"
                          : info.output == OutputKind::Picture
                              ? "scene (.vdb) or mesh to look at, - for standard input"
                              : "scene to read (.vdb), - for standard input")
             ->type_name("FILE")
             ->expected(0, -1);
+    if (info.name == "export")
+        c.app
+            ->add_option("--to", c.to,
+                         "file to write by its suffix: .glb, .usda, .csv (instances), .obj, .ply, "
+                         ".png (map), .vdb; or a folder for all of them; may be repeated")
+            ->type_name("FILE")
+            ->allow_extra_args(false)
+            ->group("General");
     const auto stage = make_stage(info.name);
     for (const Param& p : stage->params()) {
         const std::string option = option_name(p.name);
@@ -187,6 +198,16 @@ void add_stage_command(CLI::App& program, Commands& commands, const StageInfo& i
             words.emplace_back(p.name, p.kind == Param::Kind::Flag
                                            ? (c.flags[p.name] ? "true" : "false")
                                            : c.words[p.name]);
+        }
+        // By itself `-o x.ply` is points, from before there was anything else.
+        const bool points =
+            c.to.empty() && std::ranges::all_of(common.output, [](auto& file) {
+                return file == "-" || std::filesystem::path(file).extension() == ".ply";
+            });
+        if (name == "export" && !points) {
+            std::vector<std::string> targets = common.output;
+            targets.insert(targets.end(), c.to.begin(), c.to.end());
+            return command_export(c.files, targets, words, common);
         }
         return command_stage(name, c.files, words, common);
     };

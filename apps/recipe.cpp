@@ -7,6 +7,7 @@
 #include <map>
 #include <set>
 
+#include "apps/exchange/stage.h"
 #include "apps/toml_file.h"
 #include "core/error.h"
 #include "core/file_output.h"
@@ -41,7 +42,7 @@ const std::vector<std::string>& extensions_of(Stage& stage)
 {
     static const std::vector<std::string> kScene{".vdb"},
         kMesh{".ply", ".obj", ".stl", ".off", ".glb", ".vdb"}, kPicture{".png"}, kTable{".csv"},
-        kPoints{".ply"};
+        kPoints{".ply", ".glb", ".usda", ".csv", ".obj", ".mtl", ".png", ".json", ".vdb"};
     if (makes_mesh(stage)) return kMesh;
     switch (stage.info().output) {
         case OutputKind::Mesh:
@@ -138,6 +139,8 @@ void read_stage(const std::string& name, const toml::table& table, std::uint64_t
             errors.add(node->source(), fmt::format("{}: {}", name, error.what()));
         }
     }
+    if (auto* exporting = dynamic_cast<ExportingStage*>(draft.stage.process.get()))
+        exporting->asked_for(draft.stage.write);
     try {
         draft.stage.process->validate();
     } catch (const Error& error) {
@@ -256,6 +259,18 @@ void add_meshes_beside(std::vector<Draft>& drafts, const TomlErrors& errors)
     for (const Draft& draft : drafts)
         for (const std::string& name : draft.stage.write)
             owner.emplace(plain(name), draft.stage.name);
+    // Materials of an OBJ and what the greys of a map mean.
+    for (Draft& draft : drafts) {
+        if (draft.stage.process->info().output != OutputKind::Points) continue;
+        std::vector<std::string>& write = draft.stage.write;
+        for (std::size_t i = 0; i < write.size(); ++i) {
+            std::filesystem::path beside = write[i];
+            if (beside.extension() != ".obj" && beside.extension() != ".png") continue;
+            beside.replace_extension(beside.extension() == ".obj" ? ".mtl" : ".json");
+            if (!owner.contains(plain(beside))) write.push_back(beside.string());
+            owner.emplace(plain(beside), draft.stage.name);
+        }
+    }
     for (Draft& draft : drafts) {
         std::vector<std::string>& write = draft.stage.write;
         if (!draft.one_file || !makes_mesh(*draft.stage.process)) continue;

@@ -9,6 +9,7 @@
 #include <map>
 
 #include "apps/console.h"
+#include "apps/exchange/stage.h"
 #include "apps/folder_lock.h"
 #include "core/error.h"
 #include "core/file_output.h"
@@ -158,6 +159,11 @@ public:
 
 private:
     const RecipeStage& stage(std::size_t i) const { return recipe_.stages[i]; }
+
+    ExportingStage* exports(std::size_t i) const
+    {
+        return dynamic_cast<ExportingStage*>(stage(i).process.get());
+    }
 
     StageContext context(std::size_t i) const
     {
@@ -325,8 +331,13 @@ private:
     std::vector<std::string> reads(std::size_t i, const Items& items) const
     {
         std::vector<std::string> names = stage(i).process->needs();
-        for (const std::string& name : stage(i).process->uses())
-            if (items.contains(name)) names.push_back(name);
+        if (const ExportingStage* exporting = exports(i)) {
+            std::vector<std::string> present;
+            for (const auto& [name, item] : items) present.push_back(name);
+            for (std::string& name : exporting->chooses(present)) names.push_back(std::move(name));
+        } else
+            for (const std::string& name : stage(i).process->uses())
+                if (items.contains(name)) names.push_back(name);
         return names;
     }
 
@@ -553,6 +564,7 @@ private:
         }
         state_["last"][stage(i).name] = now;
         for (const std::string& name : stage(i).write) write_output(i, name);
+        if (ExportingStage* exporting = exports(i)) exporting->done();
         if (const std::string why = record.json.value("stopped", ""); !why.empty())
             throw LimitExceeded(fmt::format("{}: {}", stage(i).name, why));
         release(i);
@@ -586,6 +598,7 @@ private:
         // What an optional input would be must not be there from another branch of the recipe.
         for (const std::string& name : process.uses())
             if (!items.contains(name)) drop(name);
+        if (exports(i)) drop_others(items);
         const SceneOutline outline = inherited_outline(i);
         scene_.domain = outline.domain;
         scene_.heat_domain = outline.heat_domain;
@@ -772,6 +785,15 @@ private:
         in_memory_.erase(name);
     }
 
+    /// Leaves nothing in memory but these.
+    void drop_others(const Items& items)
+    {
+        std::vector<std::string> names;
+        for (const auto& [name, content] : in_memory_)
+            if (!items.contains(name)) names.push_back(name);
+        for (const std::string& name : names) drop(name);
+    }
+
     /// Brings an item with this very content into memory.
     void load(const std::string& name, const Item& item)
     {
@@ -802,11 +824,15 @@ private:
     void release(std::size_t i)
     {
         std::set<std::string> wanted;
+        std::vector<std::string> held;
+        for (const auto& [name, content] : in_memory_) held.push_back(name);
         bool whole_scene = false;
         for (std::size_t k = i + 1; k < recipe_.stages.size(); ++k) {
             if (!selected_[k]) continue;
             for (const std::string& need : stage(k).process->needs()) wanted.insert(need);
             for (const std::string& name : stage(k).process->uses()) wanted.insert(name);
+            if (const ExportingStage* exporting = exports(k))
+                for (const std::string& name : exporting->chooses(held)) wanted.insert(name);
             for (const std::string& name : stage(k).write)
                 whole_scene = whole_scene || fs::path(name).extension() == ".vdb";
         }
@@ -878,7 +904,7 @@ private:
         const std::string suffix = target.extension().string();
         const Progress writing = context(i).progress.named("writing");
         if (kind == OutputKind::Picture || kind == OutputKind::Table ||
-            kind == OutputKind::Points ||
+            (kind == OutputKind::Points && suffix == ".ply") ||
             (kind == OutputKind::Mesh && suffix == ".ply")) {  // the kept result itself
             write_file(target,
                        read_file(result_path(i, records_[i].json["key"]), 1ull << 36, writing),
@@ -896,16 +922,33 @@ private:
                 for (const auto& [name, item] : visible_[i]) move_item(name, whole, scene_);
             };
             try {
-                write_vdb(target, whole, {}, writing);
+                if (ExportingStage* exporting = exports(i))
+                    exporting->write(whole, target, writing_context(i));
+                else
+                    write_vdb(target, whole, {}, writing);
             } catch (...) {
                 give_back();
                 throw;
             }
             give_back();
+        } else if (ExportingStage* exporting = exports(i)) {
+            drop_others(visible_[i]);
+            for (const std::string& name : reads(i, visible_[i])) load(name, visible_[i].at(name));
+            scene_.domain = outlines_[i].domain;
+            scene_.heat_domain = outlines_[i].heat_domain;
+            scene_.history = history(i);
+            exporting->write(scene_, target, writing_context(i));
         } else {
             load("rock", visible_[i].at("rock"));
             write_mesh(target, scene_.meshes.at("rock"), writing);
         }
+    }
+
+    StageContext writing_context(std::size_t i) const
+    {
+        StageContext c = context(i);
+        c.progress = c.progress.named("writing");
+        return c;
     }
 
     void write_manifest()
@@ -1051,6 +1094,10 @@ Json describe_output(const fs::path& path, const std::string& name, const std::s
         entry["kind"] = "picture";
     else if (suffix == ".csv")
         entry["kind"] = "table";
+    else if (suffix == ".json")
+        entry["kind"] = "notes";
+    else if (suffix == ".mtl")
+        entry["kind"] = "materials";
     else {
         const bool points = suffix == ".ply" && !has_faces(path);
         entry["kind"] = points ? "points" : "mesh";
@@ -1060,7 +1107,8 @@ Json describe_output(const fs::path& path, const std::string& name, const std::s
             const Bounds b =
                 bounds ? *bounds : decode_ply(read_file(path, 1ull << 36, progress), name).bounds();
             if (!b.empty()) entry["bounds_m"] = bounds_json(b);
-        }
+        } else if (!points && bounds && !bounds->empty())
+            entry["bounds_m"] = bounds_json(*bounds);
     }
     return entry;
 }

@@ -9,6 +9,7 @@
 #include <set>
 
 #include "apps/commands/commands.h"
+#include "apps/commands/inputs.h"
 #include "apps/console.h"
 #include "apps/recipe.h"
 #include "apps/runner.h"
@@ -24,27 +25,6 @@ namespace {
 namespace fs = std::filesystem;
 
 const std::vector<std::string> kMeshSuffixes{".ply", ".obj", ".stl", ".off", ".glb"};
-
-bool is_mesh_name(const std::string& name)
-{
-    const std::string suffix = fs::path(name).extension().string();
-    return std::find(kMeshSuffixes.begin(), kMeshSuffixes.end(), suffix) != kMeshSuffixes.end();
-}
-
-/// The mesh that goes beside a scene file of the same name.
-fs::path mesh_beside(const std::string& scene)
-{
-    return fs::path(scene).replace_extension(".ply");
-}
-
-/// Whether a scene file is about the triangles of a mesh, which then lies beside it.
-bool speaks_of_mesh(const std::string& name)
-{
-    if (name == "-" || is_mesh_name(name)) return false;
-    const std::vector<VdbGridInfo> grids = inspect_vdb(name).grids;
-    return std::any_of(grids.begin(), grids.end(),
-                       [](const VdbGridInfo& grid) { return grid.points && grid.name == "sites"; });
-}
 
 /// Tells a stage what stands in a scene file without rock whose surface could be shown.
 void tell_of_trees(Stage& stage, const std::string& name)
@@ -344,6 +324,25 @@ void write_result(Stage& stage, const Scene& scene, const std::string& name,
 }
 
 }  // namespace
+
+bool is_mesh_name(const std::string& name)
+{
+    const std::string suffix = fs::path(name).extension().string();
+    return std::find(kMeshSuffixes.begin(), kMeshSuffixes.end(), suffix) != kMeshSuffixes.end();
+}
+
+fs::path mesh_beside(const std::string& scene)
+{
+    return fs::path(scene).replace_extension(".ply");
+}
+
+bool speaks_of_mesh(const std::string& name)
+{
+    if (name == "-" || is_mesh_name(name)) return false;
+    const std::vector<VdbGridInfo> grids = inspect_vdb(name).grids;
+    return std::any_of(grids.begin(), grids.end(),
+                       [](const VdbGridInfo& grid) { return grid.points && grid.name == "sites"; });
+}
 
 int command_stage(const std::string& name, const std::vector<std::string>& inputs,
                   const Words& words, const Common& common)

@@ -89,7 +89,7 @@ void group(CopySet& set, const std::vector<std::uint32_t>& prototype)
 /// What is known of units of points' attributes.
 std::string unit_of_column(const std::string& set, const std::string& name)
 {
-    if (name == "age") return set == "moss" ? "d" : set == "forest" ? "a" : "";
+    if (name == "age") return set == "moss" ? "d" : "";
     if (name == "height" || name == "crown_radius" || name == "cone_radius") return "m";
     if (name == "area") return "m2";
     return "";
