@@ -20,6 +20,8 @@ from pathlib import Path
 PROGRAM = Path(os.environ.get("SEKITEI", "build/sekitei")).absolute()
 DATA = Path(os.environ.get("SEKITEI_DATA", "data")).absolute()
 SOURCE = DATA.parent
+# The library of the test build that makes calls of the program fail.
+FAULTS = Path(os.environ.get("SEKITEI_FAULTS", "build/fault_shim.so")).absolute()
 
 # Programs with sanitizers in them are slower and larger, and reserve terabytes: limits of memory would end every one.
 SANITIZED = "SEKITEI_SANITIZED" in os.environ
