@@ -13,7 +13,7 @@ namespace sekitei::render {
 namespace {
 
 /// Light on the soil of a garden, for what grows there by itself.
-constexpr float kGardenLight = 0.38f;
+constexpr float kGardenLight = 0.26f;
 
 float smooth(float low, float high, float x)
 {

@@ -25,7 +25,7 @@ public:
         static const StageInfo kInfo = [] {
             StageInfo info{
                 "wind",
-                "1",
+                "2",
                 "wind before an object and beside each of its cells, for eight directions",
                 OutputKind::Scene,
                 true,

@@ -466,6 +466,7 @@ void Simulation::start_statistics(std::vector<Bounds> boxes, std::vector<Vec3d> 
             for (int j = box.begin.y; j < box.end.y; ++j)
                 for (int k = box.begin.z; k < box.end.z; ++k)
                     box.cells += air_[lattice_.at(i, j, k)];
+        box.wet = tunnel_.holds_water(bounds, settings_.spacing);
         boxes_.push_back(box);
     }
     points_ = std::move(points);
@@ -526,7 +527,8 @@ BoxMeans Simulation::box_means(std::size_t box) const
     if (sums.time == 0) return means;
     means.speed = sums.speed / sums.time;
     means.velocity = sums.velocity / sums.time;
-    means.touch = sums.inflow > 0 ? sums.touch / sums.inflow : sums.air_touch / sums.time;
+    means.touch =
+        sums.inflow > 0 && !sums.wet ? sums.touch / sums.inflow : sums.air_touch / sums.time;
     return means;
 }
 

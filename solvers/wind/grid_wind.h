@@ -86,6 +86,7 @@ private:
         double speed = 0, time = 0, inflow = 0, touch = 0, air_touch = 0;
         Vec3d velocity{};
         std::size_t cells = 0;
+        bool wet = false;  ///< with water in it
     };
     void mark_air();
     void find_water_and_plants();

@@ -798,6 +798,8 @@ void Simulation::start_statistics(std::vector<Bounds> boxes, std::vector<Vec3d> 
             fmt::format("mps: radius of the probes = {:.6g} m, must be > 0", radius));
     boxes_ = std::move(boxes);
     box_sums_.assign(boxes_.size(), {});
+    for (std::size_t b = 0; b < boxes_.size(); ++b)
+        box_sums_[b].wet = tunnel_.holds_water(boxes_[b], settings_.spacing);
     points_ = std::move(points);
     point_radius_ = radius;
     point_speed_.assign(points_.size(), 0);
@@ -820,6 +822,7 @@ void Simulation::take_statistics(double dt)
             sums.time += dt;
             sums.velocity += q.velocity(i) * dt;
             sums.speed += length(q.velocity(i)) * dt;
+            sums.air_touch += q.touch[i] * dt;
             if (q.probed[i] & (1u << b)) continue;
             q.probed[i] |= 1u << b;
             sums.touch += q.touch[i];
@@ -844,7 +847,7 @@ BoxMeans Simulation::box_means(std::size_t box) const
     if (sums.particles == 0) return means;
     means.speed = sums.speed / sums.time;
     means.velocity = sums.velocity / sums.time;
-    means.touch = sums.touch / double(sums.particles);
+    means.touch = sums.wet ? sums.air_touch / sums.time : sums.touch / double(sums.particles);
     means.particles = sums.particles;
     return means;
 }

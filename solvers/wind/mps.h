@@ -137,9 +137,10 @@ public:
 
 private:
     struct BoxSums {
-        double speed = 0, time = 0, touch = 0;
+        double speed = 0, time = 0, touch = 0, air_touch = 0;
         Vec3d velocity{};
         std::size_t particles = 0;
+        bool wet = false;  ///< with water in it
     };
     void fill_tunnel();
     void prepare();

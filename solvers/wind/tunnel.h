@@ -24,15 +24,20 @@ struct WindTunnel {
     /// z of the water's surface at (x, y), NaN where there is none.
     std::function<double(double x, double y)> water_level;
 
+    /// Whether there is a water's surface in a box, asked at points l0 apart.
+    bool holds_water(const Bounds& box, double l0) const;
+
     /// P_b = 2 rho U0^2: what the pressure is far from obstacles, so that wakes fill.
     double background_pressure(double density) const { return 2 * density * speed * speed; }
 };
 
 /// Means over all steps since start_statistics().
 struct BoxMeans {
-    double speed = 0;           ///< mean of |u| over air and time [m/s]; 0 without air
-    Vec3d velocity{};           ///< mean of u [m/s]
-    double touch = 0;           ///< A_T = A_q, mean of `touch` over the air that came by
+    double speed = 0;  ///< mean of |u| over air and time [m/s]; 0 without air
+    Vec3d velocity{};  ///< mean of u [m/s]
+    /// A_T = A_q: mean of `touch` over the air that came in, or where there is water in the box
+    /// over all its air, since that touches it there.
+    double touch = 0;
     std::size_t particles = 0;  ///< that have been in the box; of a grid: cells of air in it
 };
 

@@ -200,6 +200,20 @@ void mark_solid(const FloatGrid& level_set, const Heading& heading, const Progre
 
 }  // namespace
 
+bool WindTunnel::holds_water(const Bounds& box, double l0) const
+{
+    if (!water_level) return false;
+    const auto steps = [&](int axis) { return int(std::ceil(box.size()[axis] / l0)); };
+    for (int i = 0; i <= steps(0); ++i)
+        for (int j = 0; j <= steps(1); ++j) {
+            const double level = water_level(std::min(box.lower.x + i * l0, box.upper.x),
+                                             std::min(box.lower.y + j * l0, box.upper.y));
+            // Water beside a box's floor wets its air.
+            if (level >= box.lower.z - 0.5 * l0 && level <= box.upper.z) return true;
+        }
+    return false;
+}
+
 Heading Heading::from(int direction, Vec3d axis)
 {
     const double h = std::sqrt(0.5);

@@ -219,6 +219,12 @@ TEST(GridWind, AirOverWaterTouchesTheFetchOverTheDepth)
     wind.start_statistics({box});
     wind.step();
     EXPECT_NEAR(wind.box_means(0).touch, 5.2 / kSpacing / 4, 1e-4);
+    // Over the water itself all air counts, not what comes in: on the way it touches half of it.
+    Bounds pond;
+    pond.add({-0.2, 3, 0.5}), pond.add({5, 6, 0.9});
+    wind.start_statistics({pond});
+    wind.step();
+    EXPECT_NEAR(wind.box_means(0).touch, (5.2 + kSpacing) / 2 / kSpacing, 1e-3);
 }
 
 TEST(GridWind, MeansWeighAirNearAPointLikeAKernel)
