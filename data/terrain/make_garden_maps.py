@@ -6,7 +6,7 @@
 stone-group.png: heights of a group of three stones, as gardeners set them: a high one, a companion that leans on it, a low
 one apart; black 0, white 1 of the highest. Drawn by the formula below.
 maunga-whau-moisture.png: how moist the ground of maunga-whau.png is, 0 to 1: the topographic wetness index
-ln(a / tan(slope)) [Beven and Kirkby 1979], a the area upslope per metre of contour, by steepest descent among eight
+ln(a / tan(slope)) [Beven1979], a the area upslope per metre of contour, by steepest descent among eight
 neighbours (D8) after pits are filled, from its 2nd to its 98th percentile, smoothed once.
 Standard library only; 16-bit grey, north up.
 """
@@ -80,7 +80,7 @@ def moisture(heights):
     height, width = len(heights), len(heights[0])
     around = [(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)]
     inside = lambda j, i: 0 <= j < height and 0 <= i < width
-    # Pits are filled to just above where they would run over (Planchon and Darboux 2002).
+    # Pits are filled to just above where they would run over [Planchon2002].
     z = [[heights[j][i] if j in (0, height - 1) or i in (0, width - 1) else 1e9 for i in range(width)] for j in range(height)]
     changed = True
     while changed:
