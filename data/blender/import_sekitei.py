@@ -619,6 +619,9 @@ class Importer:
             for name in ("Cube", "Light", "Camera"):
                 if name in bpy.data.objects:
                     bpy.data.objects.remove(bpy.data.objects[name])
+            for collection in self.scene.collection.children:
+                if not collection.all_objects:
+                    bpy.data.collections.remove(collection)
         self.root = bpy.data.collections.new("Sekitei")
         self.scene.collection.children.link(self.root)
         self.collections = {}
@@ -951,6 +954,11 @@ class Importer:
         camera.rotation_euler = (target - eye).to_track_quat("-Z", "Y").to_euler()
         data.clip_start, data.clip_end = 0.02, 1000 + 200 * float(np.linalg.norm(high - low))
         self.scene.camera = camera
+        for window in bpy.context.window_manager.windows:
+            for area in window.screen.areas:
+                if area.type == "VIEW_3D":
+                    area.spaces.active.region_3d.view_perspective = "CAMERA"
+                    area.spaces.active.clip_end = data.clip_end
 
 
 def parse(arguments):

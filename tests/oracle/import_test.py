@@ -1,16 +1,18 @@
 """data/blender/import_sekitei.py in Blender: what it builds, how fast, what it refuses, what Cycles sees of it."""
 
+import csv
 import json
 import os
 import shutil
 import subprocess
 import time
-import unittest
 
 import made_glb
 import numpy
 import oracle
-from support import BAD_INPUT, CANNOT_WRITE, DATA, USAGE, CliTest, SceneTest
+from foreign import pyopenvdb
+from habitat_test import make_habitat
+from support import BAD_INPUT, CANNOT_WRITE, DATA, USAGE, CliTest
 
 SCRIPT = DATA / "blender" / "import_sekitei.py"
 
@@ -50,7 +52,7 @@ print("TOLD " + json.dumps(told), flush=True)
 """
 
 
-class ImportTest(SceneTest):
+class ImportTest(CliTest):
     def imported(self, *arguments, timeout=300, code=0):
         """Runs the script and then LOOK; (what LOOK told, what was printed, seconds)."""
         look = self.write("look.py", LOOK)
@@ -72,10 +74,6 @@ class ImportTest(SceneTest):
 class Made(ImportTest):
     """Files made by hand, whose every place is known."""
 
-    @classmethod
-    def setUpClass(cls):
-        pass
-
     def test_copies_stand_turn_and_scale_as_the_file_says(self):
         made, places, turns, scales = made_glb.rock_with_plants(2000)
         self.write("s.glb", made.bytes())
@@ -91,12 +89,8 @@ class Made(ImportTest):
         self.assertTrue({"growth", "age", "id", "rotation", "scale"} <= set(plants["attributes"]), plants)
         self.assertEqual(told["prototypes"], {"bryum_0_lod1": 4})
         self.assertEqual(told["copies"], 2000)
-        x, y, z, w = turns.T
-        turned = numpy.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                              [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                              [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]]).transpose(2, 0, 1)
         found = numpy.array(told["matrices"])
-        self.assertLess(numpy.abs(found[:, :3, :3] - turned * scales[:, None]).max(), 1e-6)
+        self.assertLess(numpy.abs(found[:, :3, :3] - turned(turns) * scales[:, None]).max(), 1e-6)
         self.assertLess(numpy.abs(found[:, :3, 3] - places).max(), 1e-6)
         self.assertEqual(told["sky"], ["NISHITA"])
 
@@ -213,10 +207,6 @@ write = "rock.ply"
 class Folder(ImportTest):
     """A folder of `sekitei run` without a .glb: volumes, and meshes from PLY."""
 
-    @classmethod
-    def setUpClass(cls):
-        pass
-
     def test_volumes_and_meshes_of_a_run(self):
         self.write("rock.toml", RECIPE)
         self.succeed("run", "rock.toml")
@@ -245,12 +235,90 @@ class Folder(ImportTest):
         self.assertIn("rock.vdb", said)
 
 
+def turned(quaternions):
+    """Rotation matrices of quaternions x y z w."""
+    x, y, z, w = numpy.asarray(quaternions, float).T
+    return numpy.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]]).transpose(2, 0, 1)
+
+
+class Exported(ImportTest):
+    """Folders of `sekitei export`; the table of instances, a file of its own, says where copies stand."""
+
+    def export(self, scene):
+        """The folder, and its rows of instances."""
+        self.succeed("export", scene, "--to", "out/", "--to", "instances.csv")
+        with open(self.folder / "instances.csv", newline="") as file:
+            rows = list(csv.DictReader(file))
+        manifest = json.loads((self.folder / "out/manifest.json").read_text())
+        self.assertEqual(sum(o["path"].endswith(".glb") for o in manifest["outputs"]), 1, manifest)
+        return self.folder / "out/manifest.json", rows
+
+    def assertCopies(self, told, rows):
+        """Each copy that Blender draws stands, turns and scales as its row says."""
+        self.assertEqual(told["copies"], len(rows))
+        counts = {}
+        for row in rows:
+            name = f"{row['set']}/{row['prototype']}"
+            counts[name] = counts.get(name, 0) + 1
+        self.assertEqual({name: i["points"] for name, i in told["instances"].items()}, counts)
+        number = lambda names: numpy.array([[float(row[n]) for n in names] for row in rows])
+        places = number(("P_x", "P_y", "P_z"))
+        wanted = turned(number(("orient_x", "orient_y", "orient_z", "orient_w"))) * number(("scale_x", "scale_y", "scale_z"))[:, None]
+        size = numpy.abs(wanted).max()
+        for matrix in numpy.array(told["matrices"])[:500]:
+            away = numpy.linalg.norm(places - matrix[:3, 3], axis=1)
+            near = away < 1e-4
+            self.assertTrue(near.any(), f"a copy at {matrix[:3, 3]}, {away.min()} m from any in the table")
+            self.assertLess(min(numpy.abs(w - matrix[:3, :3]).max() for w in wanted[near]), 1e-4 * size)
+
+    def test_a_garden_of_moss(self):
+        make_habitat(self.folder)
+        manifest, rows = self.export("moss.vdb")
+        self.assertGreater(len(rows), 50)
+        frame = ["--render", self.folder / "frame.png", "--width", 200, "--height", 125, "--samples", 8, "--field-of-view", 50]
+        told, _, _ = self.imported(manifest, *frame)
+        self.assertCopies(told, rows)
+        kinds = {s["kind"] for s in told["surfaces"].values()}
+        self.assertTrue({"rock", "water"} <= kinds, kinds)
+        rock = next(s for s in told["surfaces"].values() if s["kind"] == "rock")
+        self.assertFalse(rock["broken"])
+        self.assertTrue({"moss_cover", "soil_rh"} <= set(rock["reads"]), rock["reads"])
+        for name in ("light_S", "sky_view", "soil_rh", "soil_Ts", "moss_cover"):
+            low, high = pyopenvdb.read(str(self.folder / "moss.vdb"), name).evalMinMax()
+            found = rock["ranges"][name]
+            self.assertTrue(low - 1e-3 <= found[0] <= found[1] <= high + 1e-3, f"{name}: {found} of {low}..{high}")
+            self.assertGreater(found[1], found[0], name)
+        for i in told["instances"].values():
+            self.assertEqual(i["set"], "moss")
+            self.assertIn(i["species"], ("bryum", "hypnum", "polytrichum"))
+            self.assertTrue({"growth", "age", "id"} <= set(i["attributes"]), i)
+        self.assertEqual(len(told["volumes"]), sum(o["path"].endswith(".vdb") for o in json.loads(manifest.read_text())["outputs"]))
+        oracle.shows_something(self, self.folder / "frame.png")
+
+    def test_a_tree(self):
+        self.succeed("tree", "--species", "beech", "--generations", "14", "-o", "tree.vdb")
+        manifest, rows = self.export("tree.vdb")
+        self.assertGreater(len(rows), 100)
+        told, _, _ = self.imported(manifest, "--no-volumes")
+        self.assertCopies(told, rows)
+        bark = next(s for s in told["surfaces"].values() if s["kind"] == "bark")
+        self.assertGreater(bark["triangles"], 1000)
+        self.assertGreater(bark["box"][1][2], 1, "a tree stands upright")
+        self.assertTrue(all(i["set"] == "leaves" for i in told["instances"].values()))
+
+    def test_a_forest(self):
+        self.succeed("forest", "--size", "40m", "--initial", "20", "--steps", "8", "-o", "forest.vdb")
+        manifest, rows = self.export("forest.vdb")
+        self.assertGreater(len(rows), 5)
+        told, _, _ = self.imported(manifest, "--no-volumes")
+        self.assertCopies(told, rows)
+        self.assertTrue(all(i["set"] == "forest" for i in told["instances"].values()))
+
+
 class Seen(ImportTest):
     """What Cycles makes of it."""
-
-    @classmethod
-    def setUpClass(cls):
-        pass
 
     def test_a_frame_is_not_empty_and_shows_plants_and_sky(self):
         self.write("s.glb", made_glb.rock_with_plants(3000)[0].bytes())
