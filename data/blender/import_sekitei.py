@@ -297,6 +297,13 @@ class Nodes:
                     self.connect(value, node.inputs[known])
         return node.outputs[0]
 
+    def blend(self, share, a, b):
+        """Shaders."""
+        node = self.add("ShaderNodeMixShader", {"Fac": share})
+        self.tree.links.new(a, node.inputs[1])
+        self.tree.links.new(b, node.inputs[2])
+        return node.outputs[0]
+
     def end(self, shader, socket="Surface"):
         self.tree.links.new(shader, self.add("ShaderNodeOutputMaterial").inputs[socket])
 
@@ -379,16 +386,13 @@ def ground_material(n, base, names):
 
 
 def water_material(n, base, names):
-    """Glass with ripples; shadows of light that goes through stay light."""
-    place = position(n)
-    ripples = n.bump(n.noise(2.5, 3.0, place), 0.12, 0.02)
-    glass = n.add("ShaderNodeBsdfGlass", {"Color": rgba(COLOURS["water"]), "Roughness": 0.0, "IOR": 1.333, "Normal": ripples}).outputs[0]
-    clear = n.add("ShaderNodeBsdfTransparent", {"Color": rgba((0.75, 0.85, 0.85))}).outputs[0]
-    shadow = n.add("ShaderNodeLightPath").outputs["Is Shadow Ray"]
-    mixed = n.add("ShaderNodeMixShader", {"Fac": shadow})
-    n.tree.links.new(glass, mixed.inputs[1])
-    n.tree.links.new(clear, mixed.inputs[2])
-    n.end(mixed.outputs[0])
+    """Glass with ripples, tinted where one looks through; the light that falls through it stays light."""
+    ripples = n.bump(n.noise(1.6, 2.0, position(n)), 0.1, 0.02)
+    through = n.add("ShaderNodeBsdfRefraction", {"Color": rgba((0.3, 0.42, 0.36)), "Roughness": 0.02, "IOR": 1.333, "Normal": ripples}).outputs[0]
+    mirror = n.add("ShaderNodeBsdfGlossy", {"Color": rgba((1, 1, 1)), "Roughness": 0.02, "Normal": ripples}).outputs[0]
+    glass = n.blend(n.add("ShaderNodeFresnel", {"IOR": 1.333, "Normal": ripples}).outputs[0], through, mirror)
+    clear = n.add("ShaderNodeBsdfTransparent", {"Color": rgba((0.6, 0.75, 0.7))}).outputs[0]
+    n.end(n.blend(n.add("ShaderNodeLightPath").outputs["Is Shadow Ray"], glass, clear))
 
 
 def wood_material(n, base, names):
@@ -406,10 +410,7 @@ def leaf_material(n, base, names):
                                                "Color": rgba(base)}).outputs[0]
     upper = n.principled(**{"Base Color": colour, "Roughness": 0.5, "Specular": 0.3})
     through = n.add("ShaderNodeBsdfTranslucent", {"Color": n.mix(0.5, colour, rgba((0.25, 0.35, 0.03)))}).outputs[0]
-    mixed = n.add("ShaderNodeMixShader", {"Fac": 0.35})
-    n.tree.links.new(upper, mixed.inputs[1])
-    n.tree.links.new(through, mixed.inputs[2])
-    n.end(mixed.outputs[0])
+    n.end(n.blend(0.35, upper, through))
 
 
 def moss_material(n, base, names):
@@ -426,10 +427,7 @@ def moss_material(n, base, names):
                                                "Value": n.ramp(chance, 0.0, 1.0, 0.75, 1.3), "Color": colour}).outputs[0]
     leaf = n.principled(**{"Base Color": colour, "Roughness": 0.75, "Specular": 0.15})
     through = n.add("ShaderNodeBsdfTranslucent", {"Color": colour}).outputs[0]
-    mixed = n.add("ShaderNodeMixShader", {"Fac": 0.25})
-    n.tree.links.new(leaf, mixed.inputs[1])
-    n.tree.links.new(through, mixed.inputs[2])
-    n.end(mixed.outputs[0])
+    n.end(n.blend(0.25, leaf, through))
 
 
 def volume_material(n, grid):
@@ -850,9 +848,6 @@ class Importer:
             whole = frames.get(None) or frames[steps[0]]
             data = bpy.data.volumes.new(name)
             data.filepath = str(whole.check().resolve())
-            if None not in frames and len(steps) > 1 and steps == list(range(steps[0], steps[0] + len(steps))):
-                data.is_sequence, data.frame_start, data.frame_duration = True, 1, len(steps)
-                data.frame_offset = steps[0] - 1
             if not data.grids.load():
                 raise Problem(f"{whole.path}: {data.grids.error_message}")
             shown = [g.name for g in data.grids if g.data_type == "FLOAT"]
@@ -867,6 +862,9 @@ class Importer:
             volume_material(Nodes(material.node_tree), grid)
             data.materials.append(material)
             data.grids.active_index = [g.name for g in data.grids].index(grid)
+            if None not in frames and len(steps) > 1 and steps == list(range(steps[0], steps[0] + len(steps))):
+                data.is_sequence, data.frame_start, data.frame_duration = True, 1, len(steps)
+                data.frame_offset = steps[0] - 1
             thing = put(self.collection("volumes"), bpy.data.objects.new(name + " (volume)", data))
             thing.hide_render = not self.options.render_volumes
             thing.hide_viewport = thing.hide_render
@@ -901,6 +899,8 @@ class Importer:
         scene.cycles.samples = self.options.samples
         scene.cycles.use_adaptive_sampling, scene.cycles.adaptive_threshold = True, 0.01
         scene.cycles.max_bounces, scene.cycles.transparent_max_bounces = 8, 16
+        scene.cycles.sample_clamp_direct, scene.cycles.sample_clamp_indirect = 20, 6  # glints of the sun on water and leaves
+        scene.cycles.blur_glossy = 1.0
         scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = False
         try:
             scene.cycles.denoiser, scene.cycles.use_denoising = "OPENIMAGEDENOISE", True

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import time
 
+import foreign
 import made_glb
 import numpy
 import oracle
@@ -226,6 +227,16 @@ class Folder(ImportTest):
         none, _, _ = self.imported("out", "--no-volumes")
         self.assertEqual(none["volumes"], {})
 
+    def test_numbered_volumes_are_a_sequence_if_none_is_missing(self):
+        self.write("s.glb", made_glb.rock_with_plants(5)[0].bytes())
+        fog = foreign.write(self.folder / "day.0001.vdb", foreign.fog())
+        for name in ("day.0002.vdb", "day.0003.vdb", "moss.0030.vdb", "moss.0060.vdb"):
+            shutil.copy(fog, self.folder / name)
+        names = sorted(p.name for p in self.folder.glob("*.vdb"))
+        told, _, _ = self.imported(self.manifest("s.glb", *names), "--render-volumes")
+        found = {name: (v["sequence"], v["rendered"], v["grids"]) for name, v in told["volumes"].items()}
+        self.assertEqual(found, {"day (volume)": (True, True, ["density"]), "moss (volume)": (False, True, ["density"])})
+
     def test_half_a_volume_is_refused_before_blender_dies_of_it(self):
         self.write("rock.toml", RECIPE)
         self.succeed("run", "rock.toml")
@@ -265,7 +276,7 @@ class Exported(ImportTest):
         self.assertEqual({name: i["points"] for name, i in told["instances"].items()}, counts)
         number = lambda names: numpy.array([[float(row[n]) for n in names] for row in rows])
         places = number(("P_x", "P_y", "P_z"))
-        wanted = turned(number(("orient_x", "orient_y", "orient_z", "orient_w"))) * number(("scale_x", "scale_y", "scale_z"))[:, None]
+        wanted = turned(number(("orient_x", "orient_y", "orient_z", "orient_w"))) * (number(("scale_x", "scale_y", "scale_z")) * number(("pscale",)))[:, None]
         size = numpy.abs(wanted).max()
         for matrix in numpy.array(told["matrices"])[:500]:
             away = numpy.linalg.norm(places - matrix[:3, 3], axis=1)
