@@ -87,7 +87,6 @@ export function dress(material, kind, uniforms, simple) {
                 ${grain ? noiseGlsl : ''}${kind === 'water' ? noiseGlsl + skyGlsl + 'uniform vec3 uSun;' : ''}`)
             .replace('#include <color_fragment>', `#include <color_fragment>
                 ${grain ? `float own = uHas.y > 0.0 ? fract(vId * 0.61803398875) : 0.5;
-                    float detail = ${(1 / grain[0]).toFixed(1)} * 3.0 / max(3.0, length(vViewPosition) * 0.35);
                     float g = grain(vAt * ${(1 / grain[0]).toFixed(2)}), slow = noise3(vAt * ${(0.12 / grain[0]).toFixed(2)});
                     diffuseColor.rgb *= (1.0 + ${grain[1].toFixed(2)} * (g - 0.5)) * (0.86 + 0.28 * own) * (0.85 + 0.3 * slow);
                     diffuseColor.rgb = mix(diffuseColor.rgb, diffuseColor.rgb * vec3(1.10, 1.0, 0.86), slow * 0.7);` : ''}`)
@@ -101,8 +100,9 @@ export function dress(material, kind, uniforms, simple) {
                 ${kind === 'water' ? `{ vec2 q = vAt.xz * 5.0; normal = normalize(normal + (viewMatrix * vec4(
                     0.02 * (noise3(vec3(q, 1.0)) - 0.5), 0.0, 0.02 * (noise3(vec3(q, 7.0)) - 0.5), 0.0)).xyz); }` : ''}`)
             .replace('#include <aomap_fragment>', `#include <aomap_fragment>
-                if (uHas.x > 0.0) reflectedLight.indirectDiffuse *= mix(0.25, 1.0, clamp(vAo, 0.0, 1.0));
-                ${leaf ? `#if NUM_DIR_LIGHTS > 0
+                if (uHas.x > 0.0) reflectedLight.indirectDiffuse *= mix(0.4, 1.0, clamp(vAo, 0.0, 1.0));
+                ${leaf ? `reflectedLight.indirectDiffuse *= 1.5;
+                    #if NUM_DIR_LIGHTS > 0
                     float through = max(-dot(normal, directionalLights[0].direction), 0.0);
                     reflectedLight.directDiffuse += through * directionalLights[0].color * BRDF_Lambert(diffuseColor.rgb * vec3(0.75, 0.95, 0.35));
                     #endif` : ''}`)
@@ -133,7 +133,7 @@ export const newUniforms = () => ({
 /// A disc of raked gravel for things that bring no ground, which fades into the haze.
 export function gravel(radius, simple) {
     const disc = new THREE.Mesh(new THREE.CircleGeometry(1, 96).rotateX(-Math.PI / 2), new (simple ? THREE.MeshLambertMaterial : THREE.MeshStandardMaterial)({
-        color: 0xb9b2a4, transparent: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1}));
+        color: 0xcac7bf, transparent: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1}));
     disc.scale.setScalar(radius);
     disc.material.onBeforeCompile = shader => {
         shader.vertexShader = shader.vertexShader.replace('#include <common>', '#include <common>\nvarying vec2 vDisc;')

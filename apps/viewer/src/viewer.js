@@ -39,7 +39,7 @@ function newRenderer() {
     probe.getExtension('WEBGL_lose_context')?.loseContext();
     const renderer = new THREE.WebGLRenderer({canvas: $('view'), antialias: !slow});
     renderer.toneMapping = THREE.NeutralToneMapping;
-    renderer.toneMappingExposure = 0.95;
+    renderer.toneMappingExposure = 1.1;
     renderer.shadowMap.type = THREE.PCFShadowMap;
     renderer.shadowMap.autoUpdate = false;
     renderer.info.autoReset = false;
@@ -50,12 +50,13 @@ const [renderer, slow] = newRenderer();
 const scene = new THREE.Scene(), camera = new THREE.PerspectiveCamera(34, 1, 0.01, 1000);
 const controls = new OrbitControls(camera, renderer.domElement);
 Object.assign(controls, {enableDamping: true, dampingFactor: 0.12, maxPolarAngle: 1.62, zoomToCursor: true});
-const hemisphere = new THREE.HemisphereLight(0xbcd2f0, 0x8a7d68, 1.25), sunlight = new THREE.DirectionalLight(0xffedd0, 3.3);
+const hemisphere = new THREE.HemisphereLight(0xd6e0ee, 0xa39c90, 2.2), sunlight = new THREE.DirectionalLight(0xffeed6, 3.0);
 sunlight.shadow.bias = -0.0004;
 scene.add(skyDome(), hemisphere, sunlight, sunlight.target);
 
+const most = slow ? 2.5e6 : 5e7;  // triangles of copies
 let world = null;  // the frame shown: {group, box, focus, parts, instances, triangles}
-let disc = null, budget = 0, wanted = false, lastDrawn = 0, drawn = 0;
+let disc = null, budget = 0, wanted = true, lastDrawn = 0, drawn = 0;  // wanted: nothing is drawn before the first frame is asked for
 
 /// Draws soon; `all` says that the picture may have changed by more than the camera.
 function invalidate(all) {
@@ -86,7 +87,7 @@ function draw(time) {
     const took = performance.now() - Math.max(time, lastDrawn);
     lastDrawn = performance.now();
     document.documentElement.dataset.frames = drawn;
-    if (moving) {
+    if (moving && document.documentElement.dataset.ready) {
         if (took > 90) {
             budget = Math.max(2e4, budget * 0.6);
             if (!coarse) sharpen(true);
@@ -99,8 +100,8 @@ function draw(time) {
         draw.timer = setTimeout(invalidate, 120);
         return;
     }
-    if (fraction < 1) {  // at rest: more and more copies, without holding up whoever moves next
-        budget *= 3;
+    if (fraction < 1 && budget < most) {  // at rest: more and more copies, without holding up whoever moves next
+        budget = Math.min(budget * 3, most);
         clearTimeout(draw.timer);
         draw.timer = setTimeout(() => invalidate(true), 60);
     } else if (document.documentElement.dataset.ready) document.documentElement.dataset.whole = drawn;
@@ -128,6 +129,8 @@ controls.addEventListener('change', () => invalidate());
 
 const loader = new GLTFLoader();
 const stem = name => name.replace(/^_/, '').toLowerCase();
+/// Numbers that only tell things apart, of no use as colours.
+const kPlumbing = /^(moss_id|seed_id|id|site|host|variant|model|skeleton|face|interior|ball|branch_id|tree|part|s|suit)$/;
 
 /// Attributes of instances are in file order; drawn are the first few of them, which shall stand everywhere.
 function scatter(mesh) {
@@ -178,6 +181,7 @@ async function loadWorld(index) {
         part.uniforms.uHas.value.set(geometry.attributes.ownAo ? 1 : 0, geometry.attributes.ownId ? 1 : 0);
         mesh.material = dress(mesh.material, kind, part.uniforms, slow);
         for (const name of part.attributes.keys()) {
+            if (kPlumbing.test(name)) continue;
             const field = result.fields.get(name) ?? {name, parts: [], ...infoOf(told, name)};
             field.parts.push(part);
             result.fields.set(name, field);
@@ -223,8 +227,8 @@ const kWords = {column_id: 'column', component: 'piece', surface: 'face of rock'
 /// Name, unit and range of an attribute, as the file tells them.
 function infoOf(told, name) {
     const entry = Object.entries(told.fields ?? {}).find(([key]) => stem(key) === name)?.[1] ?? {};
-    const word = kWords[name] ?? (entry.name ?? name).replace(/^suit_/, 'fitness of ').replaceAll('_', ' ');
-    return {word, unit: entry.unit ?? '', low: entry.low, high: entry.high, names: kNames.has(name)};
+    const word = kWords[name] ?? (entry.name ?? name).replace(/^wind_ratio_(\d)$/, (_, k) => `wind from ${['N', 'NE', 'E', 'SE', 'S', 'SW', 'W', 'NW'][k]}`).replace(/^suit_/, 'fitness of ').replaceAll('_', ' ');
+    return {word, unit: (entry.unit ?? '').replace(/\^2|(?<=m)2\b/, '\u00b2').replace('^3', '\u00b3'), low: entry.low, high: entry.high, names: kNames.has(name)};
 }
 
 /// Range of a field in this frame where the file tells none.
@@ -313,12 +317,23 @@ function fillPanel() {
 function fit(direction = new THREE.Vector3(0.42, 0.34, 1)) {
     const box = world.focus, size = box.getSize(new THREE.Vector3()), all = world.box.getSize(new THREE.Vector3()).length();
     const centre = box.getCenter(new THREE.Vector3()), reach = size.length() / 2;
-    const angle = Math.min(camera.fov, 2 * Math.atan(Math.tan(camera.fov * Math.PI / 360) * camera.aspect) * 180 / Math.PI) * Math.PI / 180;
-    const distance = 0.92 * reach / Math.sin(angle / 2);
-    camera.position.copy(centre).addScaledVector(direction.normalize(), distance);
+    // So far that every corner of its box is inside the picture.
+    const back = direction.clone().normalize(), right = new THREE.Vector3(0, 1, 0).cross(back).normalize(), up = back.clone().cross(right);
+    const high = Math.tan(camera.fov * Math.PI / 360) * (meta.frames.length > 1 ? 0.82 : 0.9), wide = Math.tan(camera.fov * Math.PI / 360) * camera.aspect * (innerWidth > 900 ? 0.72 : 0.95);
+    let distance = reach * 0.2;
+    for (let i = 0; i < 8; ++i) {
+        const corner = new THREE.Vector3(i & 1 ? box.min.x : box.max.x, i & 2 ? box.min.y : box.max.y, i & 4 ? box.min.z : box.max.z).sub(centre);
+        distance = Math.max(distance, corner.dot(back) + Math.max(Math.abs(corner.dot(right)) / wide, Math.abs(corner.dot(up)) / high));
+    }
+    camera.position.copy(centre).addScaledVector(back, distance);
     camera.near = reach / 400;
     camera.far = distance + all * 12 + reach * 40;
     camera.updateProjectionMatrix();
+    if (meta.frames.length > 1) {  // room for the slider
+        const down = distance * 0.02;
+        centre.y -= down;
+        camera.position.y -= down;
+    }
     controls.target.copy(centre);
     controls.minDistance = reach / 60;
     controls.maxDistance = all * 4 + distance;
@@ -359,7 +374,7 @@ function tellCopy(part, index) {
     if (extras.species) rows.push(row('species', extras.species));
     if (ids) rows.push(row('id', String(ids.itemSize === 2 ? ids.array[2 * index] + ids.array[2 * index + 1] * 2 ** 24 : ids.array[index])));
     for (const [name, attribute] of part.attributes) if (name !== 'id' && !(name === 'species' && extras.species)) {
-        const info = world.fields.get(name);
+        const info = infoOf(world.told, name);
         rows.push(row(info.word, nice(attribute.array[index]), info.unit));
     }
     if (extras.prototype) rows.push(row('model', extras.prototype));
@@ -420,7 +435,7 @@ async function explain(x, y) {
         const rows = [];
         if (!part.mesh.isInstancedMesh)
             for (const [name, attribute] of part.attributes) {
-                const info = world.fields.get(name), value = attribute.array[hit.face.a];
+                const info = infoOf(world.told, name), value = attribute.array[hit.face.a];
                 rows.push(row(info.word, nice(value), info.unit));
             }
         content.push(element('table', {}, ...rows), element('p', {className: 'note', textContent: 'This scene has no climate to explain.'}));
@@ -551,10 +566,12 @@ async function start() {
     performance.mark('shown');
     // The first picture: before shadows, with as many copies as go quickly.
     draw(performance.now());
+    wanted = true;
     await new Promise(requestAnimationFrame);
     document.documentElement.dataset.firstFrame = Math.round(performance.now());
     $('loading').hidden = true;
-    if (world.triangles + Math.min(world.copied, 3e6) < (slow ? 1.5e6 : 2e7)) {
+    wanted = false;
+    if (world.triangles + Math.min(world.copied, most) < (slow ? 6e5 : 4e7)) {
         renderer.shadowMap.enabled = sunlight.castShadow = true;
         sunlight.shadow.mapSize.setScalar(slow ? 1024 : 4096);
         for (const part of world.parts) part.mesh.material.needsUpdate = true;
