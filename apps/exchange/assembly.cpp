@@ -217,16 +217,16 @@ void add_moss(Assembly& all, const Scene& scene, const AssemblyOptions& options,
                                       options.moss_lod, int(f / 2) % render::kTuftDensities};
         const std::string& kind = all.species[f / kForms];
         render::TuftShape shape = render::tuft_shape(kind, which, ripe);
-        // The material has the brightest of all colours: those of vertices only darken it.
-        std::vector<Vec3f> colour;
+        // The material has the brightest colour of leaves: those of vertices darken it.
         Vec3f brightest(1e-3f);
-        for (const float h : {0.0f, 0.5f, 1.0f, 1.2f, 2.0f})
+        for (const float h : {0.0f, 0.5f, 1.0f})
             brightest = max(brightest, render::tuft_colour(kind, h));
-        for (const float h : shape.height) {
-            const Vec3f c = render::tuft_colour(kind, h);
-            colour.emplace_back(std::min(1.0f, c.x / brightest.x),
-                                std::min(1.0f, c.y / brightest.y),
-                                std::min(1.0f, c.z / brightest.z));
+        std::vector<Vec3f> colour;
+        for (std::size_t v = 0; v < shape.height.size(); ++v) {
+            const Vec3f c =
+                render::tuft_colour(kind, shape.height[v]) * (0.8f + 0.2f * shape.tone[v]);
+            colour.push_back(
+                min(Vec3f(c.x / brightest.x, c.y / brightest.y, c.z / brightest.z), Vec3f(1.0f)));
         }
         CopiedModel model;
         model.species = kind;
