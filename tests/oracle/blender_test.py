@@ -1,5 +1,8 @@
 """Blender without a window opens volumes, meshes and glTF as its own importers do."""
 
+import json
+import struct
+
 import oracle
 from habitat_test import HabitatTest
 from oracle import blender
@@ -105,6 +108,19 @@ class Meshes(SceneTest):
                 for side in range(2):
                     for axis in range(3):
                         self.assertAlmostEqual(found["box"][side][axis], told["bounds_m"][side][axis], places=4)
+
+
+class Assemblies(HabitatTest):
+    def test_an_importer_that_knows_no_instances_opens_the_rest(self):
+        """Blender 3.4 draws each prototype once: what is there is whole."""
+        self.succeed("export", self.moss, "--to", "moss.glb")
+        content = (self.folder / "moss.glb").read_bytes()
+        tree = json.loads(content[20:20 + struct.unpack_from("<I", content, 12)[0]])
+        primitives = [p for node in tree["nodes"] if "mesh" in node for p in tree["meshes"][node["mesh"]]["primitives"]]
+        self.assertGreater(len(primitives), 3)
+        found = blender(self, MESHES, self.folder / "moss.glb")["glb"]
+        self.assertEqual(found["triangles"], sum(tree["accessors"][p["indices"]]["count"] for p in primitives) // 3)
+        self.assertFalse(found["broken"])
 
 
 if __name__ == "__main__":

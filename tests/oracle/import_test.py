@@ -5,7 +5,6 @@ import json
 import os
 import shutil
 import subprocess
-import time
 
 import foreign
 import made_glb
@@ -34,7 +33,8 @@ for o in bpy.data.collections["surfaces"].objects if "surfaces" in bpy.data.coll
     own = [a.name for a in o.data.attributes if a.name not in ("position", "material_index") and not a.name.startswith(".")]
     told["surfaces"][o.name] = {"kind": o["sekitei_kind"], "vertices": len(o.data.vertices), "triangles": len(o.data.polygons),
         "broken": o.data.validate(), "box": box(o), "materials": [m.name for m in o.data.materials],
-        "ranges": {n: [float(values(o.data, n).min()), float(values(o.data, n).max())] for n in own if o.data.attributes[n].data_type in ("FLOAT", "INT")},
+        "ranges": {n: [float(values(o.data, n).min()), float(values(o.data, n).max())] for n in own
+                   if o.data.attributes[n].data_type in ("FLOAT", "INT")},
         "reads": sorted({n.attribute_name for m in o.data.materials for n in m.node_tree.nodes if n.type == "ATTRIBUTE"})}
 for o in bpy.data.collections["instances"].objects if "instances" in bpy.data.collections else []:
     told["instances"][o.name] = {"set": o["sekitei_set"], "species": o["sekitei_species"], "points": len(o.data.vertices),
@@ -43,9 +43,9 @@ for o in bpy.data.collections["prototypes"].objects if "prototypes" in bpy.data.
     told["prototypes"][o.name] = len(o.data.polygons)
 for o in bpy.data.collections["volumes"].objects if "volumes" in bpy.data.collections else []:
     told["volumes"][o.name] = {"grids": o["sekitei_grids"].split(), "rendered": not o.hide_render, "sequence": o.data.is_sequence}
-copies = [(i.object.name, [list(r) for r in i.matrix_world]) for i in bpy.context.evaluated_depsgraph_get().object_instances if i.is_instance]
+drawn = bpy.context.evaluated_depsgraph_get().object_instances
+copies = [(i.object.name, [list(r) for r in i.matrix_world]) for i in drawn if i.is_instance]
 told["copies"] = len(copies)
-told["drawn"] = {name: sum(1 for n, _ in copies if n == name) for name in {n for n, _ in copies}}
 told["matrices"] = [m for _, m in copies[:3000]]
 told["camera"] = list(bpy.context.scene.camera.location)
 told["sky"] = [n.sky_type for n in bpy.context.scene.world.node_tree.nodes if n.type == "TEX_SKY"]
@@ -55,17 +55,16 @@ print("TOLD " + json.dumps(told), flush=True)
 
 class ImportTest(CliTest):
     def imported(self, *arguments, timeout=300, code=0):
-        """Runs the script and then LOOK; (what LOOK told, what was printed, seconds)."""
+        """Runs the script and then LOOK; (what LOOK told, what was printed)."""
         look = self.write("look.py", LOOK)
-        began = time.monotonic()
-        done = subprocess.run(["blender", "--background", "--factory-startup", "-P", str(SCRIPT), "-P", str(look), "--", *map(str, arguments)],
-                              capture_output=True, text=True, timeout=timeout, cwd=self.folder, env={**os.environ, "PYTHONPATH": ""})
+        done = subprocess.run(["blender", "--background", "--factory-startup", "-P", str(SCRIPT), "-P", str(look), "--",
+                               *map(str, arguments)], capture_output=True, text=True, timeout=timeout, cwd=self.folder, env={**os.environ, "PYTHONPATH": ""})
         said = done.stdout + done.stderr
         self.assertEqual(done.returncode, code, said[-3000:])
         line = next((l for l in done.stdout.split("\n") if l.startswith("TOLD ")), None)
         self.assertEqual(line is not None, code == 0, said[-3000:])
         self.assertNotIn("Traceback", said)
-        return json.loads(line[5:]) if line else None, said, time.monotonic() - began
+        return json.loads(line[5:]) if line else None, said
 
     def manifest(self, *names, version="0.1.0", **more):
         outputs = [{"path": n, "kind": "mesh", "bytes": (self.folder / n).stat().st_size} for n in names]
@@ -78,7 +77,7 @@ class Made(ImportTest):
     def test_copies_stand_turn_and_scale_as_the_file_says(self):
         made, places, turns, scales = made_glb.rock_with_plants(2000)
         self.write("s.glb", made.bytes())
-        told, _, _ = self.imported(self.manifest("s.glb"))
+        told, _ = self.imported(self.manifest("s.glb"))
         rock = told["surfaces"]["rock"]
         self.assertEqual((rock["kind"], rock["vertices"], rock["triangles"]), ("rock", 16, 24))
         self.assertEqual(rock["box"], [[0, 0, 0], [4, 2, 1]])
@@ -98,13 +97,14 @@ class Made(ImportTest):
     def test_300_000_copies_open_in_seconds_and_stay_copies(self):
         self.write("s.glb", made_glb.rock_with_plants(300000)[0].bytes())
         manifest = self.manifest("s.glb")
-        began = time.monotonic()
+        before = os.times()
         done = subprocess.run(["blender", "--background", "--factory-startup", "-P", str(SCRIPT), "--", str(manifest), "--save",
                                str(self.folder / "s.blend")], capture_output=True, text=True, timeout=120)
-        seconds = time.monotonic() - began
+        after = os.times()
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertIn("300000 copies", done.stdout)
-        self.assertLess(seconds, 15)
+        # Of processor, Blender's own start included: other work on the machine does not count.
+        self.assertLess(after.children_user + after.children_system - before.children_user - before.children_system, 10)
         # 300 000 made-real cones would be 1.5 million vertices, 18 MB of places alone beside the 16 MB of the copies' own.
         self.assertLess((self.folder / "s.blend").stat().st_size, 300000 * 60)
 
@@ -134,13 +134,16 @@ class Made(ImportTest):
         self.write("empty.json", json.dumps({"sekitei": "0.1.0", "outputs": []}))
         self.write("gone.json", json.dumps({"sekitei": "0.1.0", "outputs": [{"path": "gone.glb", "bytes": 3}]}))
         self.write("half.json", json.dumps({"sekitei": "0.1.0", "outputs": [{"path": "s.glb", "bytes": 3}]}))
-        cases = [(["nothing/manifest.json"], BAD_INPUT, "nothing/manifest.json: No such file"), (["list.json"], BAD_INPUT, "not a manifest of Sekitei"),
+        cases = [(["nothing/manifest.json"], BAD_INPUT, "nothing/manifest.json: No such file"),
+                 (["list.json"], BAD_INPUT, "not a manifest of Sekitei"),
                  (["broken.json"], BAD_INPUT, "not a manifest"), (["newer.json"], BAD_INPUT, "version '7.0.0'"),
                  (["empty.json"], BAD_INPUT, "nothing to show"), (["gone.json"], BAD_INPUT, "gone.glb: no such file"),
                  (["half.json"], BAD_INPUT, "the manifest says 3"), (["foreign.glb"], BAD_INPUT, "Another program"),
                  (["newer.glb"], BAD_INPUT, "version '9.0.0'"), (["cut.glb"], BAD_INPUT, "accessor 0 is damaged"),
-                 (["uneven.glb"], BAD_INPUT, "9 values for 10 copies"), (["short.glb"], BAD_INPUT, "damaged"), (["text.glb"], BAD_INPUT, "not a .glb"),
-                 (["good/manifest.json", "--camera", "1,2"], USAGE, "6 numbers"), (["good/manifest.json", "--samples", "0"], USAGE, "1 or more"),
+                 (["uneven.glb"], BAD_INPUT, "9 values for 10 copies"), (["short.glb"], BAD_INPUT, "damaged"),
+                 (["text.glb"], BAD_INPUT, "not a .glb"),
+                 (["good/manifest.json", "--camera", "1,2"], USAGE, "6 numbers"),
+                 (["good/manifest.json", "--samples", "0"], USAGE, "1 or more"),
                  (["good/manifest.json", "--render", "no/such/frame.png"], CANNOT_WRITE, "no such folder")]
         # One Blender for all: each of its starts takes a second.
         driver = self.write("driver.py", f"""
@@ -162,8 +165,8 @@ for arguments in {[c[0] for c in cases]!r} + [["good"], ["good/manifest.json"], 
             told.append([end.code, words.getvalue()])
 print("TOLD " + json.dumps(told), flush=True)
 """)
-        done = subprocess.run(["blender", "--background", "--factory-startup", "--python-exit-code", "9", "-P", str(driver)], capture_output=True,
-                              text=True, timeout=200, cwd=self.folder)
+        done = subprocess.run(["blender", "--background", "--factory-startup", "--python-exit-code", "9", "-P", str(driver)],
+                              capture_output=True, text=True, timeout=200, cwd=self.folder)
         self.assertEqual(done.returncode, 0, done.stdout[-2000:] + done.stderr[-3000:])
         told = json.loads(next(l for l in done.stdout.split("\n") if l.startswith("TOLD "))[5:])
         for (arguments, code, words), (found, said) in zip(cases, told):
@@ -172,7 +175,7 @@ print("TOLD " + json.dumps(told), flush=True)
                 self.assertIn(words, said)
         self.assertEqual([code for code, _ in told[len(cases):]], [0, 0, 0], "the good twins")
         # And by Blender's own exit code.
-        _, said, _ = self.imported("list.json", code=BAD_INPUT)
+        _, said = self.imported("list.json", code=BAD_INPUT)
         self.assertIn("import_sekitei: error: list.json: not a manifest of Sekitei", said)
         self.imported("good", "--camera", "1", code=USAGE)
 
@@ -211,7 +214,7 @@ class Folder(ImportTest):
     def test_volumes_and_meshes_of_a_run(self):
         self.write("rock.toml", RECIPE)
         self.succeed("run", "rock.toml")
-        told, _, _ = self.imported("out/manifest.json")
+        told, _ = self.imported("out/manifest.json")
         described = self.succeed("info", "out/rock.ply", "--json").json()[0]
         rock = told["surfaces"]["rock"]
         self.assertEqual((rock["vertices"], rock["triangles"]), (described["vertices"], described["triangles"]))
@@ -221,10 +224,11 @@ class Folder(ImportTest):
         self.assertTrue({"column", "component", "surface"} <= rock["ranges"].keys())
         self.assertTrue({"column", "surface"} <= set(rock["reads"]))
         volume = told["volumes"]["rock (volume)"]
-        floats = {g["name"] for g in self.succeed("info", "out/rock.vdb", "--json").json()[0]["grids"] if g["type"] == "float" and not g["points"]}
+        grids = self.succeed("info", "out/rock.vdb", "--json").json()[0]["grids"]
+        floats = {g["name"] for g in grids if g["type"] == "float" and not g["points"]}
         self.assertEqual(set(volume["grids"]), floats)
         self.assertFalse(volume["rendered"])
-        none, _, _ = self.imported("out", "--no-volumes")
+        none, _ = self.imported("out", "--no-volumes")
         self.assertEqual(none["volumes"], {})
 
     def test_numbered_volumes_are_a_sequence_if_none_is_missing(self):
@@ -233,7 +237,7 @@ class Folder(ImportTest):
         for name in ("day.0002.vdb", "day.0003.vdb", "moss.0030.vdb", "moss.0060.vdb"):
             shutil.copy(fog, self.folder / name)
         names = sorted(p.name for p in self.folder.glob("*.vdb"))
-        told, _, _ = self.imported(self.manifest("s.glb", *names), "--render-volumes")
+        told, _ = self.imported(self.manifest("s.glb", *names), "--render-volumes")
         found = {name: (v["sequence"], v["rendered"], v["grids"]) for name, v in told["volumes"].items()}
         self.assertEqual(found, {"day (volume)": (True, True, ["density"]), "moss (volume)": (False, True, ["density"])})
 
@@ -242,7 +246,7 @@ class Folder(ImportTest):
         self.succeed("run", "rock.toml")
         whole = (self.folder / "out/rock.vdb").read_bytes()
         (self.folder / "out/rock.vdb").write_bytes(whole[:len(whole) // 2])
-        _, said, _ = self.imported("out", code=BAD_INPUT)
+        _, said = self.imported("out", code=BAD_INPUT)
         self.assertIn("rock.vdb", said)
 
 
@@ -276,7 +280,8 @@ class Exported(ImportTest):
         self.assertEqual({name: i["points"] for name, i in told["instances"].items()}, counts)
         number = lambda names: numpy.array([[float(row[n]) for n in names] for row in rows])
         places = number(("P_x", "P_y", "P_z"))
-        wanted = turned(number(("orient_x", "orient_y", "orient_z", "orient_w"))) * (number(("scale_x", "scale_y", "scale_z")) * number(("pscale",)))[:, None]
+        scales = number(("scale_x", "scale_y", "scale_z")) * number(("pscale",))
+        wanted = turned(number(("orient_x", "orient_y", "orient_z", "orient_w"))) * scales[:, None]
         size = numpy.abs(wanted).max()
         for matrix in numpy.array(told["matrices"])[:500]:
             away = numpy.linalg.norm(places - matrix[:3, 3], axis=1)
@@ -289,7 +294,7 @@ class Exported(ImportTest):
         manifest, rows = self.export("moss.vdb")
         self.assertGreater(len(rows), 50)
         frame = ["--render", self.folder / "frame.png", "--width", 200, "--height", 125, "--samples", 8, "--field-of-view", 50]
-        told, _, _ = self.imported(manifest, *frame)
+        told, _ = self.imported(manifest, *frame)
         self.assertCopies(told, rows)
         kinds = {s["kind"] for s in told["surfaces"].values()}
         self.assertTrue({"rock", "water"} <= kinds, kinds)
@@ -312,7 +317,7 @@ class Exported(ImportTest):
         self.succeed("tree", "--species", "beech", "--generations", "14", "-o", "tree.vdb")
         manifest, rows = self.export("tree.vdb")
         self.assertGreater(len(rows), 100)
-        told, _, _ = self.imported(manifest, "--no-volumes")
+        told, _ = self.imported(manifest, "--no-volumes")
         self.assertCopies(told, rows)
         bark = next(s for s in told["surfaces"].values() if s["kind"] == "bark")
         self.assertGreater(bark["triangles"], 1000)
@@ -323,7 +328,7 @@ class Exported(ImportTest):
         self.succeed("forest", "--size", "40m", "--initial", "20", "--steps", "8", "-o", "forest.vdb")
         manifest, rows = self.export("forest.vdb")
         self.assertGreater(len(rows), 5)
-        told, _, _ = self.imported(manifest, "--no-volumes")
+        told, _ = self.imported(manifest, "--no-volumes")
         self.assertCopies(told, rows)
         self.assertTrue(all(i["set"] == "forest" for i in told["instances"].values()))
 

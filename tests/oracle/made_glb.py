@@ -61,7 +61,8 @@ class Glb:
                                                                                           "species": ["bryum", "hypnum"]}}},
                 "extensionsUsed": ["EXT_mesh_gpu_instancing"], "scene": 0, "scenes": [{"nodes": [len(self.nodes)]}],
                 "nodes": [*self.nodes, {"name": "sekitei", "children": list(range(len(self.nodes)))}], "meshes": self.meshes,
-                "materials": self.materials, "accessors": self.accessors, "bufferViews": self.views, "buffers": [{"byteLength": len(self.data)}]}
+                "materials": self.materials, "accessors": self.accessors, "bufferViews": self.views,
+                "buffers": [{"byteLength": len(self.data)}]}
 
     def bytes(self, tree=None):
         text = json.dumps(tree or self.tree()).encode()
