@@ -95,9 +95,8 @@ function draw(time) {
         return invalidate();
     }
     if (coarse && document.documentElement.dataset.ready) {
-        sharpen(false);
         clearTimeout(draw.timer);
-        draw.timer = setTimeout(invalidate, 120);
+        draw.timer = setTimeout(() => { sharpen(false); invalidate(true); }, 250);
         return;
     }
     if (fraction < 1 && budget < most) {  // at rest: more and more copies, without holding up whoever moves next
@@ -107,10 +106,30 @@ function draw(time) {
     } else if (document.documentElement.dataset.ready) document.documentElement.dataset.whole = drawn;
 }
 
-/// Fewer pixels while things move, where all of them take too long.
+/// A mesh of some thousand triangles on the vertices of a large one: those in one cell of a lattice become one.
+function coarseIndex(geometry) {
+    const p = geometry.attributes.position.array, index = geometry.index.array, box = geometry.boundingBox, size = box.getSize(new THREE.Vector3());
+    const edge = Math.max(size.x, size.y, size.z) / 110 || 1, ny = Math.floor(size.y / edge) + 1, nz = Math.floor(size.z / edge) + 1;
+    const cells = new Int32Array((Math.floor(size.x / edge) + 1) * ny * nz).fill(-1), stands = new Uint32Array(p.length / 3);
+    for (let v = 0, i = 0; v < stands.length; ++v, i += 3) {
+        const cell = (((p[i] - box.min.x) / edge | 0) * ny + ((p[i + 1] - box.min.y) / edge | 0)) * nz + ((p[i + 2] - box.min.z) / edge | 0);
+        if (cells[cell] < 0) cells[cell] = v;
+        stands[v] = cells[cell];
+    }
+    const few = new Uint32Array(index.length);
+    let n = 0;
+    for (let i = 0; i < index.length; i += 3) {
+        const a = stands[index[i]], b = stands[index[i + 1]], c = stands[index[i + 2]];
+        if (a !== b && b !== c && c !== a) few[n++] = a, few[n++] = b, few[n++] = c;
+    }
+    return new THREE.BufferAttribute(few.slice(0, n), 1);
+}
+
+/// Fewer pixels and triangles while things move, where all of them take too long.
 let coarse = slow;
 function sharpen(less) {
     coarse = less;
+    for (const part of world?.parts ?? []) if (part.few) part.mesh.geometry.setIndex(coarse ? part.few : part.full);
     renderer.setPixelRatio((slow ? 1 : Math.min(devicePixelRatio, 2)) * (coarse ? 0.5 : 1));
 }
 
@@ -195,13 +214,18 @@ async function loadWorld(index) {
             result.instances.push(part);
             result.copies += mesh.count;
             result.copied += mesh.count * triangles;
-            const m = mesh.instanceMatrix.array, p = new THREE.Vector3();
+            const m = mesh.instanceMatrix.array, one = new THREE.Box3(), matrix = new THREE.Matrix4();
             if (!geometry.boundingBox) geometry.computeBoundingBox();
-            for (let i = 0; i < m.length; i += 16) own.expandByPoint(p.set(m[i + 12], m[i + 13], m[i + 14]));
-            const first = new THREE.Matrix4().fromArray(m, 0), reach = geometry.boundingBox.clone().applyMatrix4(first).getSize(p).length() / 2;
-            own.expandByScalar(Number.isFinite(reach) ? reach : 0).applyMatrix4(mesh.matrixWorld);
+            // Of many the first thousands will do: scatter() has mixed them.
+            for (let i = 0; i < Math.min(m.length, 16 * 4000); i += 16) own.union(one.copy(geometry.boundingBox).applyMatrix4(matrix.fromArray(m, i)));
+            own.applyMatrix4(mesh.matrixWorld);
         } else {
             if (!geometry.boundingBox) geometry.computeBoundingBox();
+            if (slow && geometry.index && triangles > 1.2e5) {
+                part.full = geometry.index;
+                part.few = coarseIndex(geometry);
+                if (coarse) geometry.setIndex(part.few);
+            }
             own.copy(geometry.boundingBox).applyMatrix4(mesh.matrixWorld);
             result.triangles += triangles;
         }
@@ -563,7 +587,7 @@ async function start() {
     if (matchMedia('(max-width: 700px)').matches) $('fold').click();
     resize();
     await show(meta.start ?? 0);
-    performance.mark('shown');
+    performance.mark('ready to draw');
     // The first picture: before shadows, with as many copies as go quickly.
     draw(performance.now());
     wanted = true;

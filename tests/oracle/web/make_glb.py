@@ -42,7 +42,7 @@ class Glb:
         return len(self.accessors) - 1
 
 
-def scene(triangles, copies):
+def scene(triangles, copies, size=1.0):
     rows = int(np.sqrt(triangles / 4))
     p, t = sphere(rows, 2 * rows)
     n = normals(p, t)
@@ -72,7 +72,7 @@ def scene(triangles, copies):
         turn = np.stack([up[:, 2], 0 * up[:, 0], -up[:, 0], 1 + up[:, 1]], 1)
         turn[np.linalg.norm(turn, axis=1) < 1e-6] = [1, 0, 0, 0]
         turn /= np.linalg.norm(turn, axis=1, keepdims=True)
-        size = 0.03 + 0.05 * rng.random(copies)
+        size = size * (0.03 + 0.05 * rng.random(copies))
         of = np.arange(copies)
         nodes.append({"name": "moss/bryum_0_lod1", "mesh": 2, "extras": {"sekitei": {"kind": "instances", "set": "moss", "prototype": "bryum_0_lod1", "species": "bryum"}},
                       "extensions": {"EXT_mesh_gpu_instancing": {"attributes": {

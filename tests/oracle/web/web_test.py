@@ -105,11 +105,11 @@ class Formats(HabitatTest):
         surfaces, copies = scene_counts(self.exported(".glb"))
         told = node("usda.mjs", self.exported(".usda"))
         self.assertGreater(sum(copies.values()), 5)
-        found = sorted(mesh["triangles"] for mesh in told["meshes"])
+        found = [mesh["triangles"] for mesh in told["meshes"]]
         for name, triangles in surfaces.items():
             self.assertIn(triangles, found, f"{name} among {told}")
-        if told["copies"]:  # parsers without PointInstancer draw none
-            self.assertEqual(sum(c["count"] for c in told["copies"]), sum(copies.values()), told)
+        # It makes a mesh of each copy.
+        self.assertEqual(len(found) - len(surfaces), sum(copies.values()))
 
 
 class Page(HabitatTest):
@@ -188,7 +188,7 @@ class Page(HabitatTest):
 
     def test_tells_of_a_copy_that_is_clicked(self):
         glb = self.folder / "stone.glb"
-        glb.write_bytes(make_glb.scene(4000, 20000))  # covered all over
+        glb.write_bytes(make_glb.scene(4000, 3000, 6))  # covered all over
         self.succeed("view", "stone.glb")
         told, _ = self.driven(self.folder / "stone.html")
         self.assertEqual(told["error"], "")
@@ -221,8 +221,9 @@ class Page(HabitatTest):
         told = node("open.mjs", self.folder / "large.html", 1280, 800)
         print("large.html:", json.dumps(told))
         self.assertEqual(told["error"], "")
-        # Of the processor, for a machine that is busy with other work: 5 s by the clock on two idle cores.
-        self.assertLess(told["cpu_s"], 10, told)
+        if os.getloadavg()[0] < 1.5:
+            self.assertLess(told["first_ms"], 5000, told)
+        self.assertLess(told["cpu_s"], 15, told)  # where other work takes the clock's time; alone it takes 3 to 4
 
 
 if __name__ == "__main__":
