@@ -33,7 +33,8 @@ double mean_of(const wind::AirTables::Table& table)
     return std::accumulate(table.begin(), table.end(), 0.0) / double(table.size());
 }
 
-/// The light of the leaf-balls of single trees and how many there are, in the last generation.
+/// The mean light of all the children that single trees ever had, before death chose among them,
+/// and how many tips live in the end.
 struct Crowns {
     double light = NAN, tips = NAN;
 };
@@ -42,7 +43,12 @@ Crowns crowns_of(const Scene& scene)
     if (!scene.points.contains("tree_growth")) return {};
     const std::vector<tree::GenerationStatistics> rows = growth_of(scene);
     if (rows.empty()) return {};
-    return {rows.back().mean_light, double(rows.back().tips)};
+    double light = 0, births = 0;
+    for (const tree::GenerationStatistics& row : rows) {
+        light += row.mean_light * double(row.births);
+        births += double(row.births);
+    }
+    return {births > 0 ? light / births : NAN, double(rows.back().tips)};
 }
 
 /// What a scene has that the other may lack.
@@ -93,7 +99,7 @@ std::vector<Line> garden_lines(const std::vector<std::pair<std::string, Scene>>&
             // Other stones: those of the ground's level set count.
             const Crowns here = crowns_of(first), there = crowns_of(other);
             beside("light of the trees' leaves: stones take some", here.light, there.light, -kAny,
-                   1);
+                   0.98);
             beside("living tips of the trees", here.tips, there.tips, -kAny, kAny);
         }
         beside("water of the ground, share of what it holds", mean_of(first, "soil_theta"),
