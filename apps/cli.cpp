@@ -201,7 +201,8 @@ void add_stage_command(CLI::App& program, Commands& commands, const StageInfo& i
         }
         // By itself `-o x.ply` is points, from before there was anything else.
         const bool points =
-            c.to.empty() && std::ranges::all_of(common.output, [](auto& file) {
+            c.to.empty() && !common.output.empty() &&
+            std::ranges::all_of(common.output, [](auto& file) {
                 return file == "-" || std::filesystem::path(file).extension() == ".ply";
             });
         if (name == "export" && !points) {

@@ -98,18 +98,21 @@ private:
     void check_targets()
     {
         if (targets_.empty())
-            throw InvalidParameter("export: say where the result goes with --to FILE or FOLDER/");
+            throw InvalidParameter(
+                "export: say where the result goes with --to FILE or FOLDER/, or points with -o "
+                "FILE.ply");
         std::set<fs::path> seen;
         for (const std::string& target : targets_) {
             if (target == "-")
                 throw InvalidParameter(
                     "export: --to -: only points go to standard output, with -o -");
             if (is_folder(target)) {
-                make_folder(target);
                 if (!seen.insert((fs::path(target) / ".").lexically_normal()).second)
                     throw InvalidParameter(fmt::format("--to {}: is given twice", target));
-                const fs::path manifest = fs::path(target) / "manifest.json";
-                keep(manifest);
+                if (fs::is_directory(target))
+                    keep(fs::path(target) / "manifest.json");
+                else
+                    check_target((fs::path(target) / ".").parent_path());
                 folders_[target] = Json::array();
                 continue;
             }
@@ -262,6 +265,7 @@ private:
         // Nothing is left half: what stands in the way is found before the first file.
         std::map<std::string, std::vector<ExportFile>> of_folders;
         for (const auto& [folder, entries] : folders_) {
+            make_folder(folder);
             of_folders[folder] = files_for(folder, stem_of(input), scene, all);
             for (const ExportFile& file : of_folders[folder]) keep(file.path);
         }

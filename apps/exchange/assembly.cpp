@@ -527,9 +527,9 @@ void fill(std::vector<float>& values, const Neighbours& near, bool kinds)
         values[v] = kinds ? *any : static_cast<float>(sum / double(known));
 }
 
-void add_fields(Assembly& all, const Scene& scene, const Progress& progress)
+void add_fields(Assembly& all, const Scene& scene, const std::vector<std::string>& names,
+                const Progress& progress)
 {
-    const std::vector<std::string> names = surface_fields(scene);
     for (std::size_t s = 0; s < all.surfaces.size(); ++s) {
         Surface& surface = all.surfaces[s];
         // Ground is far from most cells, and water has none.
@@ -699,6 +699,18 @@ Assembly assemble(const Scene& scene, const AssemblyOptions& options, const Prog
                     surface_of(scene, scene.has("density") ? "density" : "surface_sdf", {},
                                options.memory_limit, progress.slice(0, 0.2)));
     const bool rock = !all.surfaces.empty();
+    // Fields at vertices, corners split between columns, and rows by prototype.
+    const std::vector<std::string> names =
+        options.fields ? surface_fields(scene) : std::vector<std::string>{};
+    double bytes = 0;
+    for (const Surface& surface : all.surfaces)
+        bytes += double(surface.mesh().vertices.size()) * (60 + 4 * double(names.size())) +
+                 double(surface.mesh().triangles.size()) * 36;
+    for (const char* name : {"moss", "forest_instances", "leaves"})
+        if (const auto set = scene.points.find(name); set != scene.points.end())
+            bytes += double(set->second.position.size()) * 24;
+    check_memory("export", bytes + 3e7, options.memory_limit,
+                 "leave the fields out with --no-fields");
     if (!rock || scene.has("terrain_height")) {
         TriMesh ground = forest_floor(scene);
         // What the crowns let through is what brightens it in pictures.
@@ -727,7 +739,7 @@ Assembly assemble(const Scene& scene, const AssemblyOptions& options, const Prog
             "forest, moss or leaves; the scene has {}",
             present.empty() ? "nothing" : fmt::format("{}", fmt::join(present, ", "))));
     }
-    if (options.fields) add_fields(all, scene, progress.slice(0.7, 1));
+    add_fields(all, scene, names, progress.slice(0.7, 1));
     describe_fields(all, scene);
     return all;
 }
