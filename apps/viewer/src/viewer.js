@@ -66,13 +66,20 @@ function invalidate(all) {
     requestAnimationFrame(draw);
 }
 
-/// How many copies are drawn: as many as go smoothly while things move, all of them once they rest.
+/// Copies that are drawn: as many as go smoothly while things move, all of them once they rest. Each model gets an even
+/// part of the triangles; what a small one leaves goes to the larger ones. Returns the share of all that are drawn.
 function share(triangles) {
-    let copies = 0;
-    for (const part of world.instances) if (part.mesh.visible && part.toggle.checked) copies += part.total * part.triangles;
-    const fraction = copies > triangles ? triangles / copies : 1;
-    for (const part of world.instances) part.mesh.count = Math.max(1, Math.ceil(part.total * fraction));
-    return fraction;
+    const parts = world.instances.filter(part => part.mesh.visible);
+    parts.sort((a, b) => a.total * a.triangles - b.total * b.triangles);
+    let left = triangles, all = 0, shown = 0;
+    parts.forEach((part, i) => {
+        const wanted = part.total * part.triangles, given = Math.min(wanted, left / (parts.length - i));
+        part.mesh.count = Math.min(part.total, Math.max(1, Math.round(given / part.triangles)));
+        left = Math.max(0, left - given);
+        all += part.total;
+        shown += part.mesh.count;
+    });
+    return all ? shown / all : 1;
 }
 
 function draw(time) {
@@ -180,7 +187,7 @@ async function loadWorld(index) {
     performance.mark('parsed');
     const told = gltf.parser.json.asset?.extras?.sekitei ?? {}, group = gltf.scene;
     const result = {group, index, told, parts: [], instances: [], fields: new Map(), triangles: 0, copies: 0, copied: 0};
-    const box = new THREE.Box3(), focus = new THREE.Box3();
+    const box = new THREE.Box3(), focus = new THREE.Box3(), stones = new THREE.Box3();
     let ground = false;
     group.updateMatrixWorld(true);
     const meshes = [];
@@ -210,7 +217,7 @@ async function loadWorld(index) {
         if (mesh.isInstancedMesh) {
             scatter(mesh);
             mesh.frustumCulled = false;
-            Object.assign(part, {total: mesh.count, toggle: {checked: true}});
+            part.total = mesh.count;
             result.instances.push(part);
             result.copies += mesh.count;
             result.copied += mesh.count * triangles;
@@ -231,13 +238,14 @@ async function loadWorld(index) {
         }
         box.union(own);
         if (kind !== 'ground' && kind !== 'water' && part.layer !== 'forest') focus.union(own);
+        if (kind === 'rock' || kind === 'obstacle') stones.union(own);
         mesh.castShadow = kind !== 'water' && kind !== 'ground';
         mesh.receiveShadow = kind !== 'leaves';
         result.parts.push(part);
     }
     if (!meshes.length || box.isEmpty()) throw new Error(`${meta.frames[index].file}: nothing to draw`);
     result.box = box;
-    result.focus = focus.isEmpty() ? box : focus;
+    result.focus = !stones.isEmpty() ? stones : !focus.isEmpty() ? focus : box;  // trees may reach out of the picture
     result.ground = ground;
     return result;
 }

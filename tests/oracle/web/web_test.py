@@ -108,8 +108,13 @@ class Formats(HabitatTest):
         found = [mesh["triangles"] for mesh in told["meshes"]]
         for name, triangles in surfaces.items():
             self.assertIn(triangles, found, f"{name} among {told}")
-        # It makes a mesh of each copy.
-        self.assertEqual(len(found) - len(surfaces), sum(copies.values()))
+        self.assertEqual([i["name"] for i in told["instancers"]], sorted({name.split("/")[0] for name in copies}))
+        for instancer in told["instancers"]:
+            counts = {int(k): n for k, n in instancer["copies"].items()}
+            expected = [n for name, n in copies.items() if name.split("/")[0] == instancer["name"]]
+            self.assertEqual([counts[k] for k in sorted(counts)], expected, "as many of each model as the .glb has")
+            for name in ("ids", "positions", "orientations", "scales"):
+                self.assertEqual(instancer[name], sum(expected), name)
 
 
 class Page(HabitatTest):
