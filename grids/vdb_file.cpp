@@ -588,7 +588,8 @@ std::vector<std::pair<std::string, const Entry*>> choose(const Header& header,
         const std::string name = entry.name.empty() ? "unnamed" : entry.name;
         if (only.empty() || only.contains(entry.shown) || only.contains(name) ||
             options.if_there.contains(name))
-            chosen.emplace_back(name, &entry);
+            // One of several of a name keeps the number by which it was asked for.
+            chosen.emplace_back(only.contains(entry.shown) ? entry.shown : name, &entry);
     }
     auto shown = [&](auto&& keep) {
         std::vector<std::string> names;

@@ -11,6 +11,7 @@
 // (fallocate), truncate, sync (of a file), sync_folder, rename. Standard input, output and error do
 // not count.
 //
+// FAULT_CLOCK    1: the clock on the wall jumps by a year at each look
 // EMBREE_CONFIG  what devices of Embree are made with, e.g. `isa=sse2` for the code of another
 // processor
 
@@ -28,6 +29,7 @@
 #include <cstdarg>
 #include <cstdlib>
 #include <cstring>
+#include <ctime>
 
 namespace {
 
@@ -181,6 +183,16 @@ int open(const char* path, int flags, ...)
         if (judge("create", path) == Verdict::Fail) return -1;
     }
     return real<int(const char*, int, ...)>("open")(path, flags, mode);
+}
+
+int clock_gettime(clockid_t clock, timespec* now) noexcept
+{
+    const int result = real<int(clockid_t, timespec*)>("clock_gettime")(clock, now);
+    const char* jumps = std::getenv("FAULT_CLOCK");
+    static std::atomic<long> looks{0};
+    if (clock == CLOCK_REALTIME && jumps && jumps[0] == '1')
+        now->tv_sec += (looks++ % 2 == 0 ? -1 : 1) * 31'556'952L;
+    return result;
 }
 
 void* rtcNewDevice(const char* config)

@@ -347,18 +347,6 @@ class ByRecipe(HabitatTest):
             self.assertLess(seconds, 2, err)
             self.assertEqual(sorted(p.name for p in self.folder.glob("*x.vdb*")), [])
 
-    def test_a_checkpoint_by_hand_belongs_to_one_run(self):
-        text = ["moss", self.soil, "--checkpoint", "c.state"]
-        self.succeed(*text, "-o", "a.vdb")
-        state = (self.folder / "c.state").read_bytes()
-        self.succeed(*text, "-o", "b.vdb")
-        self.assertEqual([], [n for n in ("moss_growth", "seed_age") if self.run_in_folder("diff", "a.vdb", "b.vdb").code])
-        self.refuse(BAD_INPUT, ["c.state", "seed"], *text, "--seed", "5", "-o", "x.vdb")
-        self.refuse(BAD_INPUT, ["c.state"], *text, "--growth-rate", "0.5", "-o", "x.vdb")
-        for damage in (b"", state[:100], state[:-1], state[:60] + b"?" + state[61:], b"x" + state):
-            self.write("c.state", damage)
-            self.refuse(BAD_INPUT, ["c.state"], *text, "-o", "x.vdb")
-
 
 class InOtherPrograms(HabitatTest):
     def test_openvdb_reads_every_grid_by_name(self):
@@ -433,58 +421,6 @@ class Unread(HabitatTest):
 
 
 class BadWeather(HabitatTest):
-    def bad(self, content, words, code=BAD_INPUT, *options):
-        self.write("w.csv", content)
-        done = self.refuse(code, words, "light", self.lantern, "--weather", "w.csv", "-o", "x.vdb", *options)
-        self.assertNotIn("lantern.vdb", done.err, "the scene is not to blame")
-        return done
-
-    def test_the_good_twin(self):
-        for content in (HEAD, "\ufeff" + HEAD, HEAD.replace(",", ";")):
-            separator = ";" if ";" in content else ","
-            self.write("w.csv", content + separator.join(["2023-01-01", "1", "70", "0", "2", "3"]) + "\n")
-            self.succeed("light", self.lantern, "--weather", "w.csv", "-o", "x.vdb", "--force")
-
-    def test_each_mistake_is_named_with_its_place(self):
-        day = "2023-01-01,1,70,0,2,3\n"
-        self.bad(HEAD + day + "2023-01-03,1,70,0,2,3\n", ["w.csv:5:1", "2023-01-02", "interpolate"])
-        self.bad(HEAD + "2023-02-28,1,70,0,2,3\n2023-02-30,1,70,0,2,3\n", ["w.csv:5:1", "2023-02-30"])
-        self.bad(HEAD + "2023-01-01,1,70,0,-1,3\n", ["w.csv:4:", "wind_speed", "-1"])
-        self.bad(HEAD + "2023-01-01,1,130,0,2,3\n", ["w.csv:4:", "humidity", "130"])
-        self.bad(HEAD + "2023-01-01,warm,70,0,2,3\n", ["w.csv:4:12", "warm"])
-        self.bad(HEAD + "2023-01-01,nan,70,0,2,3\n", ["w.csv:4:12"])
-        self.bad(HEAD + "2023-01-01,1,70,0,2,23\n", ["w.csv:4:", "sunshine", "latitude"])
-        self.bad(HEAD.encode() + "2023-01-01,1,70,0,2,3 雨\n".encode("shift_jis"), ["w.csv:4:", "UTF-8"])
-        self.bad((HEAD + day).encode("utf-16"), ["w.csv", "UTF-16"])
-        self.bad("", ["w.csv", "empty"])
-        self.bad(HEAD, ["w.csv:", "no days"])
-        self.bad(HEAD.replace("humidity [%],", "") + "2023-01-01,1,0,2,3\n", ["w.csv:3", "humidity is missing"])
-        self.bad(HEAD.replace("temperature [C]", "temprature [C]") + day, ["w.csv:3", "temprature", "temperature"])
-        self.bad(HEAD.replace("[C]", "[X]") + day, ["w.csv:3", "X"])
-        self.bad(HEAD.replace("# latitude = 40 deg\n", "") + day, ["w.csv", "latitude"])
-        self.bad(bytes(range(256)) * 20, ["w.csv"])
-        self.refuse(BAD_INPUT, ["none.csv"], "light", self.lantern, "--weather", "none.csv", "-o", "x.vdb")
-        self.refuse(BAD_INPUT, ["folder"], "light", self.lantern, "--weather", self.folder, "-o", "x.vdb")
-        self.refuse(USAGE, ["weather"], "light", self.lantern, "-o", "x.vdb")
-
-    def test_all_mistakes_are_listed_at_once(self):
-        done = self.bad(HEAD + "2023-01-01,1,130,0,-1,3\n2023-01-02,x,70,-2,2,30\n", [])
-        self.assertEqual(sorted(set(re.findall(r"w\.csv:(\d+):\d+", done.err))), ["4", "5"])
-        self.assertEqual(len(re.findall(r"w\.csv:\d+:\d+", done.err)), 5, done.err)
-
-    def test_a_line_that_is_wrong_on_each_of_its_days_is_told_briefly(self):
-        done = self.refuse(BAD_INPUT, ["more like it", "latitude"], "light", self.lantern, "--weather",
-                           DATA / "weather" / "morioka-normals.csv", "--latitude", "80", "-o", "x.vdb")
-        self.assertLess(done.err.count("\n"), 60)
-
-    def test_length_and_place(self):
-        self.refuse(USAGE, ["days = 71", "70", "--repeat-year"], "light", self.lantern, *LIGHT, "--days", "71", "-o", "x.vdb")
-        self.refuse(USAGE, ["whole year"], "light", self.lantern, *LIGHT, "--days", "71", "--repeat-year", "-o", "x.vdb")
-        self.refuse(USAGE, ["first_day = 70", "70 days"], "light", self.lantern, *LIGHT, "--first-day", "70", "-o", "x.vdb")
-        self.refuse(USAGE, ["latitude = 91", "-90 to 90"], "light", self.lantern, *LIGHT, "--latitude", "91", "-o", "x.vdb")
-        self.refuse(USAGE, ["longitude", "-180 to 180"], "light", self.lantern, *LIGHT, "--longitude", "200", "-o", "x.vdb")
-        self.refuse(USAGE, ["days = 71", "70", "--repeat-year"], "moss", self.soil, "--days", "71", "-o", "x.vdb")
-        self.refuse(USAGE, ["whole year"], "moss", self.soil, "--days", "71", "--repeat-year", "-o", "x.vdb")
 
     def test_the_place_may_be_given_in_part(self):
         for options in ([], ["--longitude", "141"], ["--latitude", "40"]):
@@ -539,30 +475,6 @@ class BadScenes(HabitatTest):
         self.refuse(LIMIT, ["object_spacing = 0.0002", "cells"], "wind", self.light, "--object-spacing", "0.2mm", "-o", "x.vdb")
         self.refuse(USAGE, ["depth"], "soil", self.wind, "--depth", "0", "-o", "x.vdb")
         self.refuse(USAGE, ["gemma_age_high", "gemma_age_low"], "moss", self.soil, "--gemma-age-low", "70d", "-o", "x.vdb")
-
-    def test_species_files_are_checked_by_line(self):
-        good = (DATA / "species" / "bryum.toml").read_text()
-        line = {name: next(i for i, l in enumerate(good.split("\n"), 1) if l.startswith(name)) for name in
-                ("temperature_low", "temperature_high", "temperature_softness", "growth_threshold")}
-        self.write("own.toml", good)
-        self.succeed("moss", self.soil, "--species", "own.toml,hypnum", "-o", "own.vdb")
-        self.assertIn("suit_own", {g["name"] for g in self.info("own.vdb")["grids"]})
-
-        def bad(name, value, words):
-            self.write("bad.toml", re.sub(rf"(?m)^{name} = .*$", f"{name} = {value}", good))
-            self.refuse(USAGE, [f"bad.toml:{line[name]}:", *words], "moss", self.soil, "--species", "bad.toml", "-o", "x.vdb")
-
-        bad("temperature_high", '"1C"', ["temperature_high = 274.15", "> temperature_low"])
-        bad("temperature_high", '"-3C"', ["temperature_high", "temperature_low"])
-        bad("temperature_softness", "0", ["temperature_softness = 0", "> 0"])
-        bad("temperature_softness", "1.5", ["temperature_softness = 1.5", "<= 1"])
-        bad("growth_threshold", "1", ["growth_threshold"])
-        bad("temperature_low", '"warm"', ["temperature_low"])
-        self.write("bad.toml", good.replace("humidity_low", "humidty_low"))
-        self.refuse(USAGE, ["bad.toml:", "humidty_low", "humidity_low"], "moss", self.soil, "--species", "bad.toml", "-o", "x.vdb")
-        self.write("earth.toml", (DATA / "soils" / "humus.toml").read_text().replace("porosity = 0.490", "porosity = -1"))
-        self.refuse(USAGE, ["earth.toml:6:", "porosity = -1"], "soil", self.wind, "--soil", "earth.toml", "-o", "x.vdb")
-        self.refuse(BAD_INPUT, ["none.toml"], "moss", self.soil, "--species", "none.toml", "-o", "x.vdb")
 
     def test_surfaces_that_are_none(self):
         sphere = foreign.level_set("surface_sdf", radius=0.4, voxel=0.05)

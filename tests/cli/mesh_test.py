@@ -1,13 +1,11 @@
 """Light and moss on meshes: files beside files, pipes, recipes, and meshes that are broken, huge or odd."""
 
 import datetime
-import json
 import re
-import struct
 import unittest
 
 import foreign
-from support import BAD_INPUT, DATA, LIMIT, USAGE, CliTest, bash, files_in, small_disk
+from support import BAD_INPUT, LIMIT, USAGE, CliTest, bash, files_in, small_disk
 
 LIGHT = ["--site", "10cm", "--photons", "20k"]
 MOSS = ["--days", "12", "--site", "10cm", "--photons", "4k", "--open-light", "25", "--initial-count", "20", "--soil", "humus"]
@@ -83,6 +81,19 @@ class MeshTest(CliTest):
 
     def grow(self):
         self.moss("rock.ply", "-o", "moss.vdb", "-q")
+
+    def both(self, code, words, path, *options):
+        """Both commands refuse a mesh."""
+        self.refuse(code, words, "light", path, "-o", "x.vdb", *changed(LIGHT, options))
+        self.refuse(code, words, "moss", path, "-o", "x.vdb", *changed(MOSS, options))
+
+    def fine(self, path, *options):
+        """Both commands take it; what light says."""
+        self.moss(path, "-o", "good_moss.vdb", "--force", "-q", *options)
+        return self.light(path, "-o", "good.vdb", "--force", "--json", *options)
+
+    def sites(self, done):
+        return done.json()["summary"]["sites"]
 
 
 class Files(MeshTest):
@@ -385,119 +396,7 @@ class Recipes(MeshTest):
 
 
 class Broken(MeshTest):
-    """Rows 17 to 30 of the battery, each beside a good twin."""
-
-    def both(self, code, words, path, *options):
-        """Both commands refuse a mesh."""
-        self.refuse(code, words, "light", path, "-o", "x.vdb", *changed(LIGHT, options))
-        self.refuse(code, words, "moss", path, "-o", "x.vdb", *changed(MOSS, options))
-
-    def fine(self, path, *options):
-        """Both commands take it; what light says."""
-        self.moss(path, "-o", "good_moss.vdb", "--force", "-q", *options)
-        return self.light(path, "-o", "good.vdb", "--force", "--json", *options)
-
-    def sites(self, done):
-        return done.json()["summary"]["sites"]
-
-    def test_00_the_good_twin(self):
-        for form in ("ascii", "binary_little_endian", "binary_big_endian"):
-            self.assertEqual(self.sites(self.fine(self.mesh("good.ply", *slab(), form))), self.sites(self.fine("rock.ply")))
-
-    def test_17_holes(self):
-        v, f = foreign.torus(centre=(0, 0, 0.3))
-        whole = self.sites(self.fine(self.mesh("whole.ply", v, f)))
-        done = self.fine(self.mesh("holes.ply", v, f[:40] + f[42:300] + f[302:]))
-        self.assertGreater(self.sites(done), 0.9 * whole)
-
-    def test_17_a_single_sheet_has_light_but_no_cells(self):
-        v = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
-        done = self.fine(self.mesh("sheet.ply", v, [(0, 1, 2), (0, 2, 3)]))
-        self.assertIn("warning", done.err)
-        self.assertIn("encloses nothing", done.err)
-
-    def test_18_not_a_manifold(self):
-        v, f = slab()
-        self.fine(self.mesh("fin.ply", v + [[0.3, 0.2, 0.3]], [*f, (4, 7, 8)]))
-
-    def test_19_no_area_and_double_vertices(self):
-        v, f = slab()
-        done = self.fine(self.mesh("dirty.ply", [*v, v[0], v[5]], [*f, (0, 0, 1), (0, 8, 3), (5, 9, 5)]))
-        self.assertEqual(self.sites(done), self.sites(self.fine("rock.ply")))
-        self.assertRegex(done.err, r"3 .*area")
-
-    def test_20_indices_out_of_range(self):
-        v, f = slab()
-        for bad in ((0, 1, 8), (0, -1, 2)):
-            self.both(BAD_INPUT, ["bad.ply", str([i for i in bad if not 0 <= i < 8][0])], self.mesh("bad.ply", v, [*f[:5], bad, *f[6:]], "ascii"))
-
-    def test_21_no_numbers(self):
-        v, f = slab()
-        for value in (float("nan"), float("inf")):
-            bad = [list(x) for x in v]
-            bad[3][1] = value
-            self.both(BAD_INPUT, ["nan.ply"], self.mesh("nan.ply", bad, f))
-
-    def test_22_turned_faces(self):
-        v, f = slab()
-        wanted = self.light("rock.ply", "-o", "wanted.ply", "--json").json()["summary"]["mean_light"]
-        for faces in ([t[::-1] for t in f], [t[::-1] if i % 3 == 0 else t for i, t in enumerate(f)]):
-            done = self.fine(self.mesh("turned.ply", v, faces))
-            self.assertIn("warning", done.err)
-            self.assertAlmostEqual(done.json()["summary"]["mean_light"], wanted, delta=0.02 * wanted)
-
-    def test_23_crossing_itself(self):
-        v, f = slab()
-        w, g = foreign.box((0.3, 0.2, -0.1), (0.8, 0.6, 0.2))
-        self.fine(self.mesh("crossing.ply", v + w, f + [tuple(i + 8 for i in t) for t in g]))
-
-    def test_24_no_faces_one_face_or_points(self):
-        v, f = slab()
-        self.both(BAD_INPUT, ["none.ply"], self.mesh("none.ply", v, []))
-        self.fine(self.mesh("one.ply", v, f[10:11]))
-        dots = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n1 1 1\n"
-        self.both(BAD_INPUT, ["points.ply"], self.write("points.ply", dots))
-        for name in ("empty.ply", "empty.obj", "empty.stl", "empty.off"):
-            self.both(BAD_INPUT, [name], self.write(name, b""))
-        self.both(BAD_INPUT, ["gone.ply"], "gone.ply")
-
-    def test_25_headers_that_promise_too_much(self):
-        v, f = slab()
-        for form in ("ascii", "binary_little_endian"):
-            good = foreign.ply(v, f, form)
-            self.both(BAD_INPUT, ["huge.ply"], self.write("huge.ply", good.replace(b"element vertex 8", b"element vertex 1000000000000")))
-            self.both(BAD_INPUT, ["huge.ply"], self.write("huge.ply", good.replace(b"element face 12", b"element face 99999999999")))
-
-    def test_26_27_flavours(self):
-        v, f = slab()
-        wanted = self.sites(self.fine("rock.ply"))
-        text = foreign.ply(v, f)
-        self.assertEqual(self.sites(self.fine(self.write("crlf.ply", text.replace(b"\n", b"\r\n")))), wanted)
-        quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-        self.assertEqual(self.sites(self.fine(self.mesh("quads.ply", v, quads, "ascii"))), wanted)
-        obj = "".join(f"v {x} {y} {z}\n" for x, y, z in v) + "\n".join("f " + " ".join(str(i - 8) for i in q) for q in quads)
-        self.assertEqual(self.sites(self.fine(self.write("quads.obj", obj))), wanted)
-        hexagon = [[0.3, 0, 0], [0.15, 0.26, 0], [-0.15, 0.26, 0], [-0.3, 0, 0], [-0.15, -0.26, 0], [0.15, -0.26, 0]]
-        self.fine(self.mesh("hexagon.ply", hexagon, [(0, 1, 2, 3, 4, 5)], "ascii"))
-
-    def test_28_tiny_meshes(self):
-        # What the message says mends it.
-        self.both(BAD_INPUT, ["tiny.ply", "6e-07 m across", "sekitei mesh --file", "--scale"], self.mesh("tiny.ply", *slab(1e-6)))
-        self.succeed("mesh", "--file", "tiny.ply", "--scale", "1e6", "-o", "metres.ply")
-        self.assertEqual(self.sites(self.fine("metres.ply")), self.sites(self.fine("rock.ply")))
-        self.fine(self.mesh("small.ply", *slab(1e-2)), "--site", "1mm", "--photon-radius", "2mm", "--cell", "1mm")
-
-    def test_28_huge_meshes_need_more_sites_than_there_are(self):
-        self.both(LIMIT, ["sites", "site", "sekitei mesh --file", "--scale"], self.mesh("huge.ply", *slab(1e6)))
-        self.fine(self.mesh("large.ply", *slab(1e2)), "--site", "10m", "--photon-radius", "20m", "--cell", "2m")
-
-    def test_29_photons(self):
-        for value in ("0", "-1", "1e19"):
-            self.both(USAGE, ["photons"], "rock.ply", "--photons", value)
-        for value in ("1e15", "1000G"):
-            self.both(LIMIT, ["photons"], "rock.ply", "--photons", value)
-        self.refuse(LIMIT, ["light", "--memory", "photons"], "light", "rock.ply", "--site", "10cm", "--photons", "1G", "--memory", "1G", "-o", "x.ply")
-        self.fine("rock.ply", "--photons", "1")
+    """What battery_test has no row for."""
 
     def test_numbers_that_no_moss_or_light_has(self):
         for option, value in (("--open-light", "1e300"), ("--sky-light", "1e4"), ("--photon-radius", "1e9"), ("--albedo", "0.97")):
@@ -508,24 +407,6 @@ class Broken(MeshTest):
     def test_voxels_too_small_for_this_machine_are_refused_at_once(self):
         for value in ("1e-7", "1e-4"):
             self.both(LIMIT, ["cell", "--memory"], "rock.ply", "--cell", value, "--memory", "500M")
-
-    def test_30_sun_and_place(self):
-        self.write("night.csv", year(datetime.date(2021, 12, 20), 85))
-        self.write("summer.csv", year(datetime.date(2021, 6, 20), 40))
-        dark = self.light("rock.ply", "--weather", "night.csv", "-o", "night.ply", "--json").json()["summary"]
-        self.assertEqual(dark["mean_light"], 0)
-        self.moss("rock.ply", "--weather", "night.csv", "--days", "3", "-o", "night_moss.vdb")
-        day = self.light("rock.ply", "--weather", "summer.csv", "-o", "summer.ply", "--json").json()["summary"]
-        self.assertGreater(day["mean_light"], 20)
-        for option, value in (("--latitude", "91"), ("--sun-elevation", "0"), ("--sun-elevation", "-5"), ("--sun-elevation", "91"),
-                              ("--open-light", "-1"), ("--sky-light", "-1"), ("--photon-radius", "0"), ("--site", "0"), ("--site", "-1")):
-            self.both(USAGE, [option[2:].replace("-", "_")], "rock.ply", option, value)
-        self.refuse(USAGE, ["albedo"], "moss", "rock.ply", *MOSS, "--albedo", "1.1", "-o", "x.vdb")
-        self.refuse(USAGE, ["cap"], "moss", "rock.ply", *MOSS, "--cap", "0", "-o", "x.vdb")
-        self.refuse(USAGE, ["weather"], "light", "rock.ply", *LIGHT, "--sun", "path", "-o", "x.vdb")
-        self.refuse(USAGE, ["square_distance"], "light", "rock.ply", *LIGHT, "--sun-light", "square", "--square-distance", "20cm", "-o", "x.vdb")
-        self.fine("rock.ply", "--sun-elevation", "0.5")
-        self.light("rock.ply", "--sun-light", "square", "-o", "square.ply")
 
     def test_textures_and_attributes(self):
         self.write("soil.png", foreign.png(4, 4, lambda x, y: 0))

@@ -181,6 +181,16 @@ def run(*arguments, cwd=None, data=None, env=None, limits=(), timeout=120):
         return Finished(code, out.read(), err.read(), seconds, usage.ru_maxrss * 1024 / LARGER)
 
 
+def lava_with(option, value):
+    """The words for the small body of lava with another value of an option."""
+    arguments = list(LAVA)
+    if option in arguments:
+        arguments[arguments.index(option) + 1] = value
+    else:
+        arguments += [option, value]
+    return ["lava", *arguments, "-o", "x.vdb"]
+
+
 def bash(script, cwd, env=None, timeout=120):
     """Runs a bash script in which $SEKITEI is the program."""
     env = env or environment()

@@ -719,7 +719,7 @@ TEST_F(VdbFile, MissingAndRepeatedGridsAreNamed)
     EXPECT_THAT([&] { read_vdb(file("two.vdb")); },
                 ThrowsMessage<InvalidInput>(HasSubstr("--grid density[1]")));
     const Scene second = read_vdb(file("two.vdb"), {.only = {"density[1]"}});
-    EXPECT_EQ(second.floats("density").background(), 2.0f);
+    EXPECT_EQ(second.floats("density[1]").background(), 2.0f);
 }
 
 TEST_F(VdbFile, NanAndInfinityAreCountedAndMended)
