@@ -9,6 +9,7 @@
 #include <set>
 
 #include "apps/forest.h"
+#include "apps/garden/plot.h"
 #include "apps/habitat.h"
 #include "apps/render/garden.h"
 #include "apps/render/tufts.h"
@@ -17,6 +18,7 @@
 #include "apps/stages/rock.h"
 #include "apps/stages/scenery.h"
 #include "core/error.h"
+#include "core/mesh_parts.h"
 #include "core/parallel.h"
 
 namespace sekitei::apps {
@@ -66,6 +68,25 @@ void add_surface(Assembly& all, std::string name, const std::string& kind, TriMe
     surface.material = add_material(all, material_of(kind));
     surface.own = std::move(mesh);
     all.surfaces.push_back(std::move(surface));
+}
+
+/// The mesh of a garden as its stones and its soil; false where it has no soil.
+bool add_garden(Assembly& all, const TriMesh& mesh)
+{
+    const auto found = mesh.face_attributes.find("surface");
+    const auto* surface = found == mesh.face_attributes.end()
+                              ? nullptr
+                              : std::get_if<std::vector<std::int32_t>>(&found->second);
+    if (!surface || surface->size() != mesh.triangles.size()) return false;
+    std::vector<std::uint8_t> soil(surface->size()), stone(surface->size());
+    for (std::size_t f = 0; f < soil.size(); ++f) {
+        soil[f] = (*surface)[f] == garden::kGroundSurface;
+        stone[f] = !soil[f];
+    }
+    if (std::ranges::find(soil, 1) == soil.end()) return false;
+    add_surface(all, "rock", "rock", part_of(mesh, stone));
+    add_surface(all, "ground", "ground", part_of(mesh, soil));
+    return true;
 }
 
 // ---- copies -----------------------------------------------------------------------------------
@@ -682,12 +703,15 @@ Assembly assemble(const Scene& scene, const AssemblyOptions& options, const Prog
 {
     Assembly all;
     all.species = species_names(scene);
+    bool garden = false;
     const auto given = std::ranges::find(meshes, "rock", &std::pair<std::string, TriMesh>::first);
     if (given != meshes.end()) {
-        add_surface(all, "rock", "rock", std::move(given->second));
+        garden = add_garden(all, given->second);
+        if (!garden) add_surface(all, "rock", "rock", std::move(given->second));
         meshes.erase(given);
     } else if (const auto rock = scene.meshes.find("rock"); rock != scene.meshes.end()) {
-        if (!rock->second.triangles.empty()) {
+        garden = add_garden(all, rock->second);
+        if (!garden && !rock->second.triangles.empty()) {
             Surface surface;
             surface.name = surface.kind = "rock";
             surface.material = add_material(all, material_of("rock"));
@@ -711,7 +735,7 @@ Assembly assemble(const Scene& scene, const AssemblyOptions& options, const Prog
             bytes += double(set->second.position.size()) * 24;
     check_memory("export", bytes + 3e7, options.memory_limit,
                  "leave the fields out with --no-fields");
-    if (!rock || scene.has("terrain_height")) {
+    if (!rock || (scene.has("terrain_height") && !garden)) {
         TriMesh ground = forest_floor(scene);
         // What the crowns let through is what brightens it in pictures.
         if (auto light = ground.vertex_attributes.extract("light")) {

@@ -11,6 +11,7 @@
 #include "apps/ground.h"
 #include "core/error.h"
 #include "core/math.h"
+#include "core/mesh_parts.h"
 #include "core/noise.h"
 #include "core/parallel.h"
 #include "core/units.h"
@@ -368,40 +369,6 @@ struct Faces {
     }
 };
 
-/// Leaves out the other faces, and vertices without any.
-template <class F>
-void keep_faces(TriMesh& mesh, F&& keep)
-{
-    std::vector<std::uint8_t> kept(mesh.triangles.size());
-    parallel_for(
-        kept.size(), [&](std::size_t f) { kept[f] = keep(mesh.triangles[f]); }, 4096);
-    TriMesh out;
-    constexpr std::uint32_t kNone = std::numeric_limits<std::uint32_t>::max();
-    std::vector<std::uint32_t> number(mesh.vertices.size(), kNone);
-    for (std::size_t f = 0; f < kept.size(); ++f) {
-        if (!kept[f]) continue;
-        auto t = mesh.triangles[f];
-        for (std::uint32_t& v : t) {
-            if (number[v] == kNone) {
-                number[v] = std::uint32_t(out.vertices.size());
-                out.vertices.push_back(mesh.vertices[v]);
-            }
-            v = number[v];
-        }
-        out.triangles.push_back(t);
-    }
-    for (auto& [name, values] : mesh.face_attributes)
-        std::visit(
-            [&, attribute = &name](const auto& list) {
-                std::decay_t<decltype(list)> some;
-                for (std::size_t f = 0; f < kept.size(); ++f)
-                    if (kept[f]) some.push_back(list[f]);
-                out.face_attributes[*attribute] = std::move(some);
-            },
-            values);
-    mesh = std::move(out);
-}
-
 /// Numbers of one stone's columns lie so far from those of the next.
 constexpr std::int32_t kMostColumns = 1 << 20;
 
@@ -534,9 +501,12 @@ Scene make_plot(const PlotParams& p, std::span<const Scene* const> rocks, const 
             const Vec3d q(mesh.vertices[v]);
             return q.z < ground.height(q.x - centre.x, q.y - centre.y) - kBuried;
         };
-        keep_faces(mesh, [&](const std::array<std::uint32_t, 3>& t) {
-            return !(buried(t[0]) && buried(t[1]) && buried(t[2]));
-        });
+        std::vector<std::uint8_t> seen(mesh.triangles.size());
+        for (std::size_t f = 0; f < seen.size(); ++f) {
+            const auto& t = mesh.triangles[f];
+            seen[f] = !(buried(t[0]) && buried(t[1]) && buried(t[2]));
+        }
+        mesh = part_of(mesh, seen);
         faces.add(mesh, std::int32_t(k) * kMostColumns);
         append(shown, mesh);
     }

@@ -31,7 +31,7 @@ struct PlotParams {
     std::filesystem::path height_map;
     std::optional<double> metres_per_pixel, height_low, height_high;
     std::string cuts;
-    double land = 400;
+    double land = 40;
 
     static void describe(auto&& field)
     {

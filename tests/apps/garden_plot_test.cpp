@@ -4,6 +4,7 @@
 #include <cmath>
 #include <set>
 
+#include "apps/exchange/assembly.h"
 #include "apps/forest_maps.h"
 #include "apps/garden/plot.h"
 #include "apps/ground.h"
@@ -168,6 +169,22 @@ TEST(Plot, AStoneStandsWhereItIsPutTurnedAndScaled)
     for (std::size_t f = 0; f < kind.size(); ++f)
         if (kind[f] != kGroundSurface) columns.insert(number[f]);
     EXPECT_EQ(columns.size(), 4u);
+}
+
+TEST(Plot, OtherProgramsGetStonesAndSoilApart)
+{
+    const Scene rock = block();
+    PlotParams p = level_ground();
+    p.stones = "1, -0.5, 0.3, 90, 0.5";
+    const Scene scene = plot(p, {&rock});
+    const apps::Assembly all = apps::assemble(scene, {});
+    ASSERT_EQ(all.surfaces.size(), 2u);
+    EXPECT_EQ(all.surfaces[0].kind, "rock");
+    EXPECT_EQ(all.surfaces[1].kind, "ground");
+    const Bounds stone = all.surfaces[0].mesh().bounds();
+    EXPECT_NEAR(stone.size().x, 0.4, 0.02);
+    EXPECT_EQ(all.surfaces[0].mesh().triangles.size() + all.surfaces[1].mesh().triangles.size(),
+              scene.meshes.at("rock").triangles.size());
 }
 
 TEST(Plot, LandFollowsItsHeightMapAndItsCuts)

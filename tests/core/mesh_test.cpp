@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "core/error.h"
+#include "core/mesh_parts.h"
 #include "core/parallel.h"
 #include "tests/core/meshes.h"
 
@@ -130,6 +131,27 @@ TEST(Mesh, NamesATriangleWithoutItsVertex)
     mesh.triangles[1][2] = 9;
     EXPECT_THAT([&] { inspect(mesh); },
                 ThrowsMessage<InvalidInput>(HasSubstr("triangle 1 has vertex 9, must be below 4")));
+}
+
+TEST(Mesh, APartKeepsItsTrianglesVerticesAndAttributes)
+{
+    TriMesh mesh = tetrahedron();
+    mesh.vertex_attributes["height"] = std::vector<float>{10, 11, 12, 13};
+    mesh.face_attributes["column"] = std::vector<std::int32_t>{5, 6, 7, 8};
+    const std::vector<std::uint8_t> kept{0, 1, 0, 0};
+    const TriMesh part = part_of(mesh, kept);
+    ASSERT_EQ(part.triangles.size(), 1u);
+    ASSERT_EQ(part.vertices.size(), 3u);
+    for (std::size_t k = 0; k < 3; ++k) {
+        const std::uint32_t was = mesh.triangles[1][k], is = part.triangles[0][k];
+        EXPECT_EQ(part.vertices[is], mesh.vertices[was]);
+        EXPECT_EQ(std::get<std::vector<float>>(part.vertex_attributes.at("height"))[is],
+                  10 + float(was));
+    }
+    EXPECT_EQ(std::get<std::vector<std::int32_t>>(part.face_attributes.at("column")),
+              (std::vector<std::int32_t>{6}));
+    EXPECT_THAT([&] { part_of(mesh, std::vector<std::uint8_t>(3)); },
+                ThrowsMessage<InvalidInput>(HasSubstr("3 numbers for 4 triangles")));
 }
 
 TEST(Mesh, MeasuresAreTheSameOnAnyNumberOfThreads)
