@@ -553,8 +553,7 @@ void add_fields(Assembly& all, const Scene& scene, const std::vector<std::string
 {
     for (std::size_t s = 0; s < all.surfaces.size(); ++s) {
         Surface& surface = all.surfaces[s];
-        // Ground is far from most cells, and water has none.
-        if (surface.kind != "rock" && surface.kind != "obstacle") continue;
+        if (surface.kind == "water" || surface.kind == "bark") continue;
         const TriMesh& mesh = surface.mesh();
         std::optional<Neighbours> near;
         for (std::size_t k = 0; k < names.size(); ++k) {
@@ -567,7 +566,7 @@ void add_fields(Assembly& all, const Scene& scene, const std::vector<std::string
             std::vector<float> values = field_at_vertices(mesh, grid, name);
             const auto missing =
                 std::ranges::count_if(values, [](float x) { return !std::isfinite(x); });
-            // What stands by the surface the field is of has a few of its cells near.
+            // What stands by the surface the field is of, and land around it, has few cells near.
             if (std::size_t(missing) >
                 (surface.kind == "rock" ? values.size() - 1 : values.size() / 2))
                 continue;

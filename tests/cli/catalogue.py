@@ -35,11 +35,13 @@ statistics moss.vdb -o moss.csv
 plot moss.vdb --width 300 --height 200 -o cover.png
 compare alone.vdb moss.vdb -o table.csv
 export moss.vdb -o moss.ply
+export moss.vdb --metres-per-pixel 20cm --to moss.glb --to plants.csv --to moss.obj --to moss.png
 explain moss.vdb --at 0,20cm,0.3 --json
 tree --generations 10 --species beech --skeleton skeleton.json --mesh bark.ply -o tree.vdb
 tree --generations 6 --wood --wood-voxel 10cm -o wood.vdb
 sketch tree.vdb wood.vdb --size 100 -o sketch.png
 forest --size 96m --initial 30 --ages 6 --variants 1 --steps 6 --every 3 --instances trees.csv -o forest.vdb
+export forest.vdb --to forest.glb --to forest.usda
 forest --size 96m --initial 30 --ages 6 --variants 1 --steps 3 --no-canopy --out-of-core rows -o rows.vdb
 distribution forest.vdb --px 128 -o map.png
 specimens --variants 1 --generations 6 --species beech -o specimens
