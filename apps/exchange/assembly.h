@@ -150,7 +150,7 @@ Assembly assemble(const Scene& scene, const AssemblyOptions& options = {},
 using Sink = std::function<void(std::string_view)>;
 
 /// glTF 2.0, binary, y up: surfaces as nodes, copies by EXT_mesh_gpu_instancing. What stands in it
-/// is told by docs/reference.md. Memory does not grow with the number of copies.
+/// is told by docs/exchange.md. Memory does not grow with the number of copies.
 /// @throws LimitExceeded  more than 4.29 GB
 void write_glb(const Assembly& assembly, const Sink& sink, const Progress& progress = {});
 std::string encode_glb(const Assembly& assembly, const Progress& progress = {});
