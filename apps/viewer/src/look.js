@@ -84,7 +84,7 @@ export function dress(material, kind, uniforms, simple) {
             .replace('#include <common>', `#include <common>
                 uniform int uMode; uniform vec2 uRange; uniform sampler2D uValues, uIds; uniform vec2 uHas;
                 varying float vField; flat varying float vName; varying float vAo; flat varying float vId; varying vec3 vAt;
-                ${grain ? noiseGlsl : ''}${kind === 'water' ? noiseGlsl + skyGlsl + 'uniform vec3 uSun;' : ''}`)
+                ${grain ? noiseGlsl : ''}${kind === 'water' ? noiseGlsl + skyGlsl + 'uniform vec3 uSun; uniform float uTrees;' : ''}`)
             .replace('#include <color_fragment>', `#include <color_fragment>
                 ${grain ? `float own = uHas.y > 0.0 ? fract(vId * 0.61803398875) : 0.5;
                     float g = grain(vAt * ${(1 / grain[0]).toFixed(2)}), slow = noise3(vAt * ${(0.12 / grain[0]).toFixed(2)});
@@ -109,7 +109,9 @@ export function dress(material, kind, uniforms, simple) {
             .replace('#include <opaque_fragment>', `${kind === 'water' ? `{
                     vec3 v = normalize(vViewPosition), r = (vec4(reflect(-v, normal), 0.0) * viewMatrix).xyz;
                     float fresnel = 0.02 + 0.98 * pow(1.0 - clamp(dot(normal, v), 0.0, 1.0), 5.0);
-                    outgoingLight = mix(outgoingLight, skyColour(normalize(r), uSun, 0.0), fresnel);
+                    vec3 mirrored = skyColour(normalize(r), uSun, 0.0);
+                    mirrored = mix(mirrored, vec3(0.05, 0.075, 0.03), uTrees * (1.0 - smoothstep(0.3, 0.8, normalize(r).y)));
+                    outgoingLight = mix(outgoingLight, mirrored, fresnel);
                     diffuseColor.a = mix(diffuseColor.a, 1.0, fresnel); }` : ''}
                 #include <opaque_fragment>`)
             .replace('#include <colorspace_fragment>', `if (uMode > 0) {
@@ -127,20 +129,24 @@ export function dress(material, kind, uniforms, simple) {
 
 export const newUniforms = () => ({
     uMode: {value: 0}, uRange: {value: new THREE.Vector2(0, 1)}, uHas: {value: new THREE.Vector2()},
-    uValues: {value: values}, uIds: {value: ids}, uSun: {value: sun},
+    uValues: {value: values}, uIds: {value: ids}, uSun: {value: sun}, uTrees: {value: 0},  // whether water mirrors trees
 });
 
-/// A disc of raked gravel for things that bring no ground, which fades into the haze.
-export function gravel(radius, simple) {
+/// A disc of raked gravel for things that bring no ground, or of more ground around that which they bring; it fades into
+/// the haze. `hole`: Box3 that it leaves free, or null; `colour`: of that ground.
+export function plain(radius, simple, hole, colour) {
     const disc = new THREE.Mesh(new THREE.CircleGeometry(1, 96).rotateX(-Math.PI / 2), new (simple ? THREE.MeshLambertMaterial : THREE.MeshStandardMaterial)({
-        color: 0xcac7bf, transparent: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1}));
+        color: colour ?? 0xcac7bf, transparent: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1}));
     disc.scale.setScalar(radius);
+    const free = {value: hole ? new THREE.Vector4(hole.min.x, hole.min.z, hole.max.x, hole.max.z) : new THREE.Vector4(1, 1, 0, 0)};
     disc.material.onBeforeCompile = shader => {
-        shader.vertexShader = shader.vertexShader.replace('#include <common>', '#include <common>\nvarying vec2 vDisc;')
-            .replace('#include <begin_vertex>', '#include <begin_vertex>\nvDisc = position.xz;');
-        shader.fragmentShader = shader.fragmentShader.replace('#include <common>', '#include <common>\nvarying vec2 vDisc;')
+        shader.uniforms.uFree = free;
+        shader.vertexShader = shader.vertexShader.replace('#include <common>', '#include <common>\nvarying vec4 vDisc;')
+            .replace('#include <begin_vertex>', '#include <begin_vertex>\nvDisc = vec4(position.xz, (modelMatrix * vec4(position, 1.0)).xz);');
+        shader.fragmentShader = shader.fragmentShader.replace('#include <common>', '#include <common>\nvarying vec4 vDisc; uniform vec4 uFree;')
             .replace('#include <color_fragment>', `#include <color_fragment>
-                diffuseColor.a = 1.0 - smoothstep(0.25, 1.0, length(vDisc));`);
+                if (all(greaterThan(vDisc.zw, uFree.xy)) && all(lessThan(vDisc.zw, uFree.zw))) discard;
+                diffuseColor.a = 1.0 - smoothstep(0.25, 1.0, length(vDisc.xy));`);
     };
     disc.receiveShadow = true;
     disc.renderOrder = -0.5;

@@ -5,7 +5,7 @@ import {OrbitControls} from 'three/examples/jsm/controls/OrbitControls.js';
 import {GLTFLoader} from 'three/examples/jsm/loaders/GLTFLoader.js';
 import {glbOf, keepOnly, meta} from './data.js';
 import {explainer} from './explain.js';
-import {dress, gravel, newUniforms, skyDome, sun} from './look.js';
+import {dress, newUniforms, plain, skyDome, sun} from './look.js';
 
 const $ = id => document.getElementById(id);
 const element = (tag, attributes = {}, ...children) => {
@@ -35,7 +35,7 @@ function slowDrawing(gl) {
 function newRenderer() {
     const probe = document.createElement('canvas').getContext('webgl2');
     if (!probe) throw new Error('this browser draws no WebGL 2; switch on hardware acceleration or try another one');
-    const slow = slowDrawing(probe);
+    const slow = slowDrawing(probe) && location.hash !== '#rich';  // to see what graphics cards draw, with patience
     probe.getExtension('WEBGL_lose_context')?.loseContext();
     const renderer = new THREE.WebGLRenderer({canvas: $('view'), antialias: !slow});
     renderer.toneMapping = THREE.NeutralToneMapping;
@@ -188,7 +188,7 @@ async function loadWorld(index) {
     const told = gltf.parser.json.asset?.extras?.sekitei ?? {}, group = gltf.scene;
     const result = {group, index, told, parts: [], instances: [], fields: new Map(), triangles: 0, copies: 0, copied: 0};
     const box = new THREE.Box3(), focus = new THREE.Box3(), stones = new THREE.Box3();
-    let ground = false;
+    let ground = null, feet = Infinity;
     group.updateMatrixWorld(true);
     const meshes = [];
     group.traverse(o => o.isMesh && meshes.push(o));
@@ -212,7 +212,6 @@ async function loadWorld(index) {
             field.parts.push(part);
             result.fields.set(name, field);
         }
-        ground ||= kind === 'ground' || kind === 'water';
         const own = new THREE.Box3();
         if (mesh.isInstancedMesh) {
             scatter(mesh);
@@ -226,6 +225,7 @@ async function loadWorld(index) {
             // Of many the first thousands will do: scatter() has mixed them.
             for (let i = 0; i < Math.min(m.length, 16 * 4000); i += 16) own.union(one.copy(geometry.boundingBox).applyMatrix4(matrix.fromArray(m, i)));
             own.applyMatrix4(mesh.matrixWorld);
+            if (part.layer === 'forest') feet = Math.min(feet, own.min.y);
         } else {
             if (!geometry.boundingBox) geometry.computeBoundingBox();
             if (slow && geometry.index && triangles > 1.2e5) {
@@ -236,6 +236,7 @@ async function loadWorld(index) {
             own.copy(geometry.boundingBox).applyMatrix4(mesh.matrixWorld);
             result.triangles += triangles;
         }
+        if (kind === 'ground' && own.getSize(new THREE.Vector3()).length() > (ground?.box.getSize(new THREE.Vector3()).length() ?? 0)) ground = {box: own, mesh};
         box.union(own);
         if (kind !== 'ground' && kind !== 'water' && part.layer !== 'forest') focus.union(own);
         if (kind === 'rock' || kind === 'obstacle') stones.union(own);
@@ -244,9 +245,10 @@ async function loadWorld(index) {
         result.parts.push(part);
     }
     if (!meshes.length || box.isEmpty()) throw new Error(`${meta.frames[index].file}: nothing to draw`);
-    result.box = box;
+    Object.assign(result, {box, stones});
     result.focus = !stones.isEmpty() ? stones : !focus.isEmpty() ? focus : box;  // trees may reach out of the picture
-    result.ground = ground;
+    Object.assign(result, {ground, feet});
+    for (const part of result.parts) part.uniforms.uTrees.value = result.parts.some(p => p.layer === 'forest') ? 1 : 0;
     return result;
 }
 
@@ -315,7 +317,7 @@ function showField(name) {
 
 function showLayers() {
     for (const part of world.parts) part.mesh.visible = !hiddenLayers.has(part.layer) && !part.covered;
-    if (disc) disc.visible = !hiddenLayers.has('gravel');
+    if (disc) disc.visible = !hiddenLayers.has('plain');
     invalidate(true);
 }
 
@@ -330,7 +332,7 @@ function fillPanel() {
         return b;
     };
     $('fields').replaceChildren(button('', 'as it looks', ''), ...fields.map(f => button(f.name, f.word, f.unit)));
-    const layers = [...new Set(world.parts.map(p => p.layer)), ...disc ? ['gravel'] : []];
+    const layers = [...new Set(world.parts.map(p => p.layer)), ...disc ? ['plain'] : []];
     $('layers').replaceChildren(...layers.map(layer => {
         const box = element('input', {type: 'checkbox', checked: !hiddenLayers.has(layer), onchange: () => {
             box.checked ? hiddenLayers.delete(layer) : hiddenLayers.add(layer);
@@ -346,9 +348,35 @@ function fillPanel() {
 
 // --- camera ----------------------------------------------------------------------------------------------------
 
-function fit(direction = new THREE.Vector3(0.42, 0.34, 1)) {
+/// From where the fewest boughs and leaves stand between the eye and the stones: from the south, or from beside it.
+function clearView(box, distance) {
+    const views = [0.42, 0.05, -0.35, 0.8, -0.75, 1.4, -1.4].map(x => new THREE.Vector3(x, 0.34, 1).normalize());
+    if (world.focus !== world.stones) return views[0];
+    const centre = box.getCenter(new THREE.Vector3()), reach = box.getSize(new THREE.Vector3()).length() / 2;
+    let best = views[0], least = Infinity;
+    for (const view of views) {
+        let hidden = 0;
+        for (const part of world.parts) {
+            if (part.kind !== 'bark' && part.layer !== 'leaves') continue;
+            const list = part.mesh.isInstancedMesh ? part.mesh.instanceMatrix.array : part.mesh.geometry.attributes.position.array;
+            const [step, from] = part.mesh.isInstancedMesh ? [16, 12] : [3, 0];
+            for (let i = from; i < list.length; i += step) {
+                const x = list[i] - centre.x, y = list[i + 1] - centre.y, z = list[i + 2] - centre.z;
+                const along = x * view.x + y * view.y + z * view.z, ahead = distance - along;
+                if (along < 0.5 * reach || ahead < -0.3) continue;
+                const aside = Math.sqrt(Math.max(0, x * x + y * y + z * z - along * along)), near = Math.max(ahead, 0.3);
+                if (aside < reach * near / distance + 0.3) hidden += 1 / (near * near);
+            }
+        }
+        if (hidden < 0.7 * least) least = hidden, best = view;
+    }
+    return best;
+}
+
+function fit(direction = null) {
     const box = world.focus, size = box.getSize(new THREE.Vector3()), all = world.box.getSize(new THREE.Vector3()).length();
     const centre = box.getCenter(new THREE.Vector3()), reach = size.length() / 2;
+    direction ??= clearView(box, size.length() * 1.15);
     // So far that every corner of its box is inside the picture.
     const back = direction.clone().normalize(), right = new THREE.Vector3(0, 1, 0).cross(back).normalize(), up = back.clone().cross(right);
     const high = Math.tan(camera.fov * Math.PI / 360) * (meta.frames.length > 1 ? 0.82 : 0.9), wide = Math.tan(camera.fov * Math.PI / 360) * camera.aspect * (innerWidth > 900 ? 0.72 : 0.95);
@@ -514,10 +542,11 @@ async function show(index) {
         note(meta.frames[index]);
         keepOnly(used);
         if (first) {
-            const reach = world.focus.getSize(new THREE.Vector3()).length();
-            if (!world.ground) {
-                disc = gravel(reach * 3, slow);
-                world.focus.getCenter(disc.position).setY(world.box.min.y);
+            const size = world.box.getSize(new THREE.Vector3()), own = world.ground?.box.getSize(new THREE.Vector3());
+            if (!own || own.x < 0.7 * size.x || own.z < 0.7 * size.z) {
+                const reach = (own ? world.box : world.focus).getSize(new THREE.Vector3()).length();
+                disc = plain(reach * 3, slow, world.ground?.box, world.ground?.mesh.material.color);
+                (own ? world.box : world.focus).getCenter(disc.position).setY(own ? Math.min(world.feet, world.ground.box.max.y) : world.box.min.y);
                 scene.add(disc);
             }
             budget = slow ? 3e5 : 4e6;
