@@ -47,6 +47,8 @@ distribution forest.vdb --px 128 -o map.png
 specimens --variants 1 --generations 6 --species beech -o specimens
 tufts --species bryum -o tufts
 run rock.toml
+view moss.vdb -o moss.html
+view out -o run.html
 replay moss.vdb
 """.strip().split("\n")]
 

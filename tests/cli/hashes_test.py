@@ -68,7 +68,7 @@ class Made:
                 found[name] = {g["name"]: g["hash"] for g in told[0]["grids"]}
             elif name.endswith(".png"):
                 found[name] = short(png_content(data))
-            elif not name.endswith("manifest.json"):  # of names, sizes and the version
+            elif not name.endswith(("manifest.json", ".html")):  # of the version, of the viewer's code
                 found[name] = short(data)
         return found
 
