@@ -414,10 +414,13 @@ void add_leaves(Assembly& all, const Scene& scene, const AssemblyOptions& option
     set.size = 2 * options.leaf_scale;
     for (std::size_t k = 0; k < kinds.size(); ++k) {
         if (number[k] == kSkipped) continue;
-        number[k] = static_cast<std::uint32_t>(set.prototypes.size());
         CopiedModel leaf;
         leaf.species = kinds[k].species;
         leaf.name = leaf.species.empty() ? "leaf" : leaf.species;
+        // Two trees may be of one kind.
+        const auto same = std::ranges::find(set.prototypes, leaf.name, &CopiedModel::name);
+        number[k] = static_cast<std::uint32_t>(same - set.prototypes.begin());
+        if (same != set.prototypes.end()) continue;
         PrototypePart part;
         part.material = leaf_material(all, leaf.species,
                                       leaf_colours(leaf.species, kinds[k].needles, options.season));
@@ -468,7 +471,8 @@ std::vector<std::string> surface_fields(const Scene& scene)
     const auto* cells =
         area == scene.grids.end() ? nullptr : std::get_if<FloatGrid>(&area->second.values);
     for (const auto& [name, grid] : scene.grids) {
-        if (name == "surf_area") continue;
+        // What seeds wait for is of use to growth alone.
+        if (name == "surf_area" || name == "moss_id" || name.starts_with("seed_")) continue;
         if (name == "temperature" && std::holds_alternative<FloatGrid>(grid.values))
             names.push_back(name);
         else if (cells &&
@@ -566,9 +570,9 @@ void add_fields(Assembly& all, const Scene& scene, const std::vector<std::string
             std::vector<float> values = field_at_vertices(mesh, grid, name);
             const auto missing =
                 std::ranges::count_if(values, [](float x) { return !std::isfinite(x); });
-            // What stands by the surface the field is of, and land around it, has few cells near.
+            // What stands by the surface the field is of has few of its cells near.
             if (std::size_t(missing) >
-                (surface.kind == "rock" ? values.size() - 1 : values.size() / 2))
+                (surface.kind == "rock" ? values.size() - 1 : values.size() / 10 * 9))
                 continue;
             if (missing > 0) {
                 for (float& x : values)
