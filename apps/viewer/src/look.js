@@ -54,7 +54,7 @@ const noiseGlsl = /* glsl */`
     float grain(vec3 p) { return 0.5 * noise3(p) + 0.3 * noise3(p * 2.7 + 3.1) + 0.2 * noise3(p * 7.3 + 8.7); }`;
 
 /// What a kind of thing looks like close by: size of its grain [m], how it changes colour and relief.
-const kGrain = {rock: [0.09, 0.42, 0.020], obstacle: [0.05, 0.25, 0.008], ground: [0.05, 0.35, 0.008], bark: [0.025, 0.5, 0.006]};
+const kGrain = {rock: [0.09, 0.42, 0.014], obstacle: [0.05, 0.25, 0.008], ground: [0.05, 0.35, 0.008], bark: [0.025, 0.5, 0.006]};
 
 /// Dresses a material of the .glb: `kind` of its node, `uniforms` of the field it may show.
 export function dress(material, kind, uniforms, simple) {

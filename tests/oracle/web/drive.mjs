@@ -72,6 +72,15 @@ try {
             }
     }
     told.state = await state();
+    // As graphics cards draw it: other materials, shadows.
+    const rich = await browser.newPage();
+    rich.setDefaultTimeout(timeout);
+    rich.on('console', message => told.messages.push(`${message.type()}: ${message.text()}`));
+    rich.on('pageerror', error => told.messages.push(`pageerror: ${error.message}`));
+    await rich.goto(`file://${file}#rich`, {waitUntil: 'domcontentloaded'});
+    await rich.waitForFunction(() => document.documentElement.dataset.whole || document.documentElement.dataset.failed);
+    told.shots.rich = `${folder}/rich.png`;
+    await rich.screenshot({path: told.shots.rich});
 } finally {
     await browser.close();
 }
