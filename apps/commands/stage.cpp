@@ -257,8 +257,9 @@ Scene read_input(Stage& stage, const std::string& name, const Common& common,
         std::set<std::string> present;
         for (const VdbGridInfo& grid : inspect_vdb(name).grids) present.insert(grid.name);
         options.only.clear();
-        for (const std::string& need : surface_stage(present.contains("density"))->needs())
-            options.only.insert(need);
+        const auto surface = surface_stage(present.contains("density"));
+        for (const std::string& need : surface->needs()) options.only.insert(need);
+        for (const std::string& used : surface->uses()) options.if_there.insert(used);
         return with_surface(read_vdb(name, options, progress));
     }
     return read_vdb(name, options, progress);

@@ -721,10 +721,12 @@ Assembly assemble(const Scene& scene, const AssemblyOptions& options, const Prog
             surface.given = &rock->second;
             all.surfaces.push_back(std::move(surface));
         }
-    } else if (scene.has("density") || scene.has("surface_sdf"))
-        add_surface(all, "rock", "rock",
-                    surface_of(scene, scene.has("density") ? "density" : "surface_sdf", {},
-                               options.memory_limit, progress.slice(0, 0.2)));
+    } else if (scene.has("density") || scene.has("surface_sdf")) {
+        TriMesh mesh = surface_of(scene, scene.has("density") ? "density" : "surface_sdf", {},
+                                  options.memory_limit, progress.slice(0, 0.2));
+        garden = add_garden(all, mesh);
+        if (!garden) add_surface(all, "rock", "rock", std::move(mesh));
+    }
     const bool rock = !all.surfaces.empty();
     // Fields at vertices, corners split between columns, and rows by prototype.
     const std::vector<std::string> names =

@@ -2,10 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
+#include "apps/garden/plot.h"
+#include "apps/ground.h"
 #include "apps/stages/rock.h"
 #include "apps/stages/stages.h"
 #include "core/error.h"
+#include "core/parallel.h"
 #include "grids/marching_tetrahedra.h"
 #include "grids/surface_attributes.h"
 
@@ -56,6 +60,38 @@ double largest(const FloatGrid& grid)
         [](double a, double b) { return std::max(a, b); });
 }
 
+/// Where there is stone as well as soil: the face attribute `surface`, 0 or that of ground, by
+/// the nearest cell that knows.
+void mark_soil(TriMesh& mesh, const Transform& transform, const IntGrid& geology)
+{
+    if (!(geology.transform() == transform)) return;
+    std::vector<std::int32_t> surface(mesh.triangles.size());
+    parallel_for_range(
+        surface.size(),
+        [&](std::size_t begin, std::size_t end) {
+            GridReader<std::int32_t> reader(geology);
+            for (std::size_t f = begin; f < end; ++f) {
+                Vec3d p;
+                for (const std::uint32_t v : mesh.triangles[f])
+                    p += transform.voxels(Vec3d(mesh.vertices[v])) / 3.0;
+                const Coord c(int(std::floor(p.x)), int(std::floor(p.y)), int(std::floor(p.z)));
+                double nearest = std::numeric_limits<double>::infinity();
+                for (int d = 0; d < 27; ++d) {
+                    const Coord at = c + Coord(d / 9 - 1, d / 3 % 3 - 1, d % 3 - 1);
+                    const Vec3d away = centre_of(at) - p;
+                    const std::int32_t what = reader.value(at);
+                    if (what == 0 || dot(away, away) >= nearest) continue;
+                    nearest = dot(away, away);
+                    surface[f] = is_stone(what) ? 0 : garden::kGroundSurface;
+                }
+            }
+        },
+        4096);
+    const auto soil = std::count(surface.begin(), surface.end(), garden::kGroundSurface);
+    if (soil > 0 && std::size_t(soil) < surface.size())
+        mesh.face_attributes["surface"] = std::move(surface);
+}
+
 class MeshStage : public Stage {
 public:
     const StageInfo& info() const override
@@ -77,6 +113,12 @@ public:
         if (!params_.file.empty()) return {};
         if (params_.grid == "density") return info().needs;
         return {params_.grid};
+    }
+
+    std::vector<std::string> uses() override
+    {
+        if (params_.file.empty() && params_.grid == "surface_sdf") return {"geology"};
+        return {};
     }
 
     ParamList params() override { return describe_params(params_); }
@@ -160,6 +202,8 @@ TriMesh surface_of(const Scene& scene, const std::string& grid, const std::optio
             SurfaceGrids{field, iso, scene.ints("column"), scene.ints("component"),
                          scene.ints("surface"), nullptr, nullptr},
             progress.slice(0.8, 1));
+    if (grid == "surface_sdf" && scene.has("geology"))
+        mark_soil(mesh, field.transform(), scene.ints("geology"));
     return mesh;
 }
 
