@@ -307,7 +307,7 @@ Convergence Simulation::project(double dt)
 {
     const Coord n = lattice_.n;
     const std::size_t sx = lattice_.stride_x(), sy = lattice_.stride_y();
-    auto& [u, v, w] = velocity_;
+    auto &u = velocity_[0], &v = velocity_[1], &w = velocity_[2];
     const double scale = dt / potential_step_;
     potential_step_ = dt;
     parallel_for(

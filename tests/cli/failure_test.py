@@ -144,7 +144,9 @@ class Commands(FailureTest):
             done = self.run_failing(arguments, how=number, at=n)
             what = f"sekitei {' '.join(arguments)}: {errno.errorcode[number]} at call {n}, {kind} {path}\n{done}"
             self.check_told(done, kind, path, words_of_it, what)
-            for name, content in files_in(self.folder).items():
+            standing = files_in(self.folder)
+            self.assertLessEqual(set(made), set(standing), f"an old file is gone: {what}")
+            for name, content in standing.items():
                 if name in made:
                     self.assertIn(content, (old[name], new[name]), f"{name} is neither old nor new: {what}")
                     if name.endswith(target_of(path)) and kind != "sync_folder":
