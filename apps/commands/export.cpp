@@ -296,8 +296,9 @@ private:
                 folders_[folder].push_back(std::move(entry));
             }
         }
-        log::info("export: {} triangles of surfaces and prototypes, {} copies", all.triangles(),
-                  all.copies());
+        if (shown)
+            log::info("export: {} triangles of surfaces and prototypes, {} copies", all.triangles(),
+                      all.copies());
     }
 
     const Common& common_;

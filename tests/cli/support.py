@@ -35,7 +35,7 @@ ROCK = ["lava", "cool", "joint", "weather", "mesh"]
 HABITAT = ["lantern", "light", "wind", "soil", "moss"]
 TREES = ["tree", "sketch"]
 FOREST = ["forest", "distribution"]
-STAGES = [*ROCK, *HABITAT, *TREES, *FOREST, "render", "statistics", "plot", "compare", "export"]
+STAGES = [*ROCK, "garden", *HABITAT, *TREES, *FOREST, "render", "statistics", "plot", "compare", "export"]
 TOOLS = ["run", "check", "info", "replay", "diff", "explain", "verify", "view", "schema", "specimens", "tufts", "completions"]
 # Values of parameters that a stage cannot do without, as in recipes; spring_weather() makes the file.
 REQUIRED = {"light": {"weather": "days.csv"}}
