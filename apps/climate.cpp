@@ -9,6 +9,7 @@
 
 #include "apps/presets.h"
 #include "core/error.h"
+#include "core/json.h"
 #include "core/log.h"
 #include "core/math.h"
 #include "core/parallel.h"
@@ -62,7 +63,7 @@ soil::Soil own_soil(const Scene& scene, const ClimateParams& params,
     if (const auto grid = scene.grids.find("geology"); grid != scene.grids.end())
         if (const auto kept = grid->second.extra.find("soil"); kept != grid->second.extra.end()) {
             soil::Soil soil;
-            const Json numbers = Json::parse(kept->get<std::string>(), nullptr, false);
+            const Json numbers = parse_json(kept->get<std::string>(), false);
             for (const Param& p : describe_params(soil))
                 if (numbers.is_object() && numbers.contains(p.name)) p.set(numbers[p.name]);
             soil::validate(soil);

@@ -9,6 +9,7 @@
 #include "apps/habitat.h"
 #include "apps/stage.h"
 #include "core/error.h"
+#include "core/json.h"
 
 namespace sekitei::apps {
 namespace {
@@ -24,9 +25,8 @@ std::vector<moss::Species> species_of(const Scene& scene)
         return list;
     }
     const Json& extra = scene.grids.at("moss_species").extra;
-    const Json kinds = extra.contains("species")
-                           ? Json::parse(extra["species"].get<std::string>(), nullptr, false)
-                           : Json();
+    const Json kinds =
+        extra.contains("species") ? parse_json(extra["species"].get<std::string>(), false) : Json();
     for (const Json& kind : kinds.is_array() ? kinds : Json::array()) {
         moss::Species species;
         for (const Param& p : describe_params(species))

@@ -8,6 +8,7 @@
 
 #include "core/csv.h"
 #include "core/error.h"
+#include "core/json.h"
 
 namespace sekitei::apps {
 namespace {
@@ -98,8 +99,7 @@ ForestRecord forest_record(const Scene& scene)
             "it was grown, is not there");
     ForestRecord record;
     try {
-        const Json settings =
-            Json::parse(grid->second.extra.at(kForestSettings).get<std::string>());
+        const Json settings = parse_json(grid->second.extra.at(kForestSettings).get<std::string>());
         record.width = settings.at("width").get<double>();
         record.depth = settings.at("depth").get<double>();
         for (int axis = 0; axis < 3; ++axis)

@@ -9,6 +9,7 @@
 #include "core/error.h"
 #include "core/file_output.h"
 #include "core/hash.h"
+#include "core/json.h"
 
 namespace sekitei::apps {
 namespace {
@@ -97,7 +98,7 @@ std::optional<std::pair<ForestState, std::vector<forest::Tree>>> decode_forest(
         length > bytes.size() - head - sizeof hash)
         throw damaged();
     try {
-        const Json json = Json::parse(bytes.substr(head, length));
+        const Json json = parse_json(bytes.substr(head, length));
         if (json.at("identity") != identity) return std::nullopt;
         std::pair<ForestState, std::vector<forest::Tree>> found{state_of(json.at("state")), {}};
         const auto count = json.at("trees").get<std::uint64_t>();
@@ -125,7 +126,7 @@ ForestFolder::ForestFolder(fs::path folder, Json identity, Progress progress)
     const fs::path file = folder_ / kState;
     if (!fs::exists(file)) return;
     try {
-        const Json json = Json::parse(read_file(file));
+        const Json json = parse_json(read_file(file));
         if (json.at("sekitei_forest").get<int>() != kVersion)
             throw InvalidInput(fmt::format("{}: of another version", file.string()));
         if (const auto other = differences(json.at("identity"), identity_); !other.empty())

@@ -14,6 +14,7 @@
 #include "core/error.h"
 #include "core/file_output.h"
 #include "core/hash.h"
+#include "core/json.h"
 #include "core/log.h"
 #include "core/mesh_io.h"
 #include "grids/vdb_file.h"
@@ -78,7 +79,7 @@ std::string sealed(Json record)
 /// What sealed() was given; null where the text is damaged.
 Json unsealed(const std::string& text)
 {
-    Json record = Json::parse(text, nullptr, false);
+    Json record = parse_json(text, false);
     if (!record.is_object()) return nullptr;
     const Json seal = record.value("seal", Json());
     record.erase("seal");
@@ -258,7 +259,7 @@ private:
     static Json read_json(const fs::path& path)
     {
         try {
-            return Json::parse(read_file(path, 1u << 28));
+            return parse_json(read_file(path, 1u << 28));
         } catch (const std::exception&) {
             return nullptr;
         }
@@ -662,7 +663,8 @@ private:
             process.info().reads_many ? process.run_many(parents_of(i), c) : process.run(scene_, c);
         clear_progress_line();
         if (process.info().reads_many && process.info().output == OutputKind::Scene) {
-            for (const std::string& name : process.makes()) move_item(name, process.new_scene, scene_);
+            for (const std::string& name : process.makes())
+                move_item(name, process.new_scene, scene_);
             scene_.domain = process.new_scene.domain;
             scene_.heat_domain = process.new_scene.heat_domain;
             process.new_scene = {};
@@ -1117,7 +1119,7 @@ std::vector<std::string> verify_manifest(const fs::path& manifest)
 {
     Json json;
     try {
-        json = Json::parse(read_file(manifest, 1u << 28));
+        json = parse_json(read_file(manifest, 1u << 28));
     } catch (const Json::exception& error) {
         throw InvalidInput(fmt::format("{}: not a manifest: {}", manifest.string(), error.what()));
     }

@@ -9,6 +9,7 @@
 
 #include "apps/presets.h"
 #include "core/error.h"
+#include "core/json.h"
 
 namespace sekitei::apps {
 namespace {
@@ -326,7 +327,7 @@ GroveRecord grove_record(const Scene& scene)
             "the scene has trees, but not the grid canopy_lad of `sekitei tree`, which holds their "
             "parameters");
     try {
-        const Json settings = Json::parse(lad->second.extra[kSettings].get<std::string>());
+        const Json settings = parse_json(lad->second.extra[kSettings].get<std::string>());
         record.params = from_json<tree::GroveParams>(settings.at("params"));
         for (const Json& s : settings.at("species"))
             record.species.push_back(from_json<Species>(s));

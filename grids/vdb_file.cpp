@@ -13,6 +13,7 @@
 #include "core/error.h"
 #include "core/file_output.h"
 #include "core/hash.h"
+#include "core/json.h"
 #include "core/log.h"
 #include "core/machine.h"
 #include "grids/vdb_format.h"
@@ -97,7 +98,7 @@ void with_json(const Header& header, const std::string& file, const std::string&
     const std::string text = vdb::meta_text(header.meta, name);
     if (text.empty()) return;
     try {
-        use(Json::parse(text));
+        use(parse_json(text));
     } catch (const Json::exception& error) {
         throw InvalidInput(fmt::format("{}: damaged: metadata {}: {}", file, name, error.what()));
     }

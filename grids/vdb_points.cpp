@@ -19,6 +19,7 @@
 #include <sstream>
 
 #include "core/error.h"
+#include "core/json.h"
 #include "core/log.h"
 
 namespace sekitei::vdb {
@@ -285,7 +286,7 @@ Points decode_with_openvdb(const RawGrid& raw)
                 fetch_any(tree, name, first->constAttributeArray(position).valueType(), order, out);
 
     // Kinds of attributes of an empty set.
-    const Json schema = Json::parse(meta_text(raw.meta, "sekitei:attributes"), nullptr, false);
+    const Json schema = parse_json(meta_text(raw.meta, "sekitei:attributes"), false);
     if (out.position.empty() && schema.is_object())
         for (const auto& [name, kind] : schema.items()) {
             if (kind == "float") out.attributes[name] = std::vector<float>();
@@ -309,7 +310,12 @@ double own_size()
     return pages * static_cast<double>(sysconf(_SC_PAGESIZE));
 }
 
-constexpr int kTrialSeconds = 20;
+/// Of the processor, in which damage must have shown: what is whole takes a second for some hundred
+/// megabytes.
+int trial_seconds(const RawGrid& grid)
+{
+    return 2 + static_cast<int>((grid.topology.size() + grid.buffers.size()) >> 24);
+}
 
 }  // namespace
 
@@ -326,6 +332,7 @@ Points decode_untrusted_points(const RawGrid& grid, const std::string& where, do
 {
     initialise();
     const double size = own_size();
+    const int seconds = trial_seconds(grid);
     const pid_t child = fork();
     if (child < 0) throw LimitExceeded(where + ": no process is left to try reading it in");
     if (child == 0) {
@@ -335,7 +342,7 @@ Points decode_untrusted_points(const RawGrid& grid, const std::string& where, do
         };
         setrlimit(RLIMIT_CORE, &none);
         struct rlimit cpu {
-            kTrialSeconds, kTrialSeconds
+            static_cast<rlim_t>(seconds), static_cast<rlim_t>(seconds)
         };
         setrlimit(RLIMIT_CPU, &cpu);
         // Address sanitizers reserve terabytes; there the limit would end every child.
@@ -359,7 +366,7 @@ Points decode_untrusted_points(const RawGrid& grid, const std::string& where, do
     // The processor limit ends a child that spins; one that sleeps is ended here.
     int status = 0;
     bool ended = false;
-    for (int tick = 0; tick < (kTrialSeconds + 5) * 1000 && !ended; ++tick) {
+    for (int tick = 0; tick < 5 * seconds * 1000 && !ended; ++tick) {
         ended = waitpid(child, &status, WNOHANG) == child;
         if (!ended) poll(nullptr, 0, 1);
     }
@@ -368,13 +375,12 @@ Points decode_untrusted_points(const RawGrid& grid, const std::string& where, do
         waitpid(child, &status, 0);
     }
     if (!ended || !WIFEXITED(status) || WEXITSTATUS(status) != 0)
-        throw InvalidInput(fmt::format("{}: damaged: reading its points {}", where,
-                                       ended && WIFEXITED(status)
-                                           ? "failed, or needed too much memory"
-                                       : ended && WTERMSIG(status) == SIGXCPU
-                                           ? fmt::format("took more than {} s", kTrialSeconds)
-                                       : ended ? "crashed"
-                                               : "did not end"));
+        throw InvalidInput(fmt::format(
+            "{}: damaged: reading its points {}", where,
+            ended && WIFEXITED(status)             ? "failed, or needed too much memory"
+            : ended && WTERMSIG(status) == SIGXCPU ? fmt::format("took more than {} s", seconds)
+            : ended                                ? "crashed"
+                                                   : "did not end"));
     return decode_points(grid, where);
 }
 

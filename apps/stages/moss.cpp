@@ -370,13 +370,25 @@ private:
         auto field = [&](const std::string& name) -> const std::vector<double>& {
             return c.field(name, file.string());
         };
+        auto of_cells = [&](const std::string& name) -> const std::vector<double>& {
+            const std::vector<double>& values = field(name);
+            if (values.size() != cells)
+                throw InvalidInput(fmt::format("{}: the field '{}' has {} values for {} cells",
+                                               file.string(), name, values.size(), cells));
+            return values;
+        };
+        for (const auto* species : {&c.population.species, &c.population.seed_species})
+            for (const std::uint8_t s : *species)
+                if (s > now.fitness.size())
+                    throw InvalidInput(fmt::format("{}: a moss of species {}, there are {}",
+                                                   file.string(), int(s), now.fitness.size()));
         now.population = std::move(c.population);
-        now.water = field("water");
+        now.water = of_cells("water");
         now.means.restore(field("means"));
         now.statistics.restore(field("statistics"));
-        now.humidity.assign(field("humidity").begin(), field("humidity").end());
+        now.humidity.assign(of_cells("humidity").begin(), of_cells("humidity").end());
         for (std::size_t s = 0; s < now.fitness.size(); ++s) {
-            const std::vector<double>& mean = field(fmt::format("fitness_{}", s));
+            const std::vector<double>& mean = of_cells(fmt::format("fitness_{}", s));
             now.fitness[s].assign(mean.begin(), mean.end());
         }
         log::info("moss: going on from day {} of {}", now.population.day, file.string());

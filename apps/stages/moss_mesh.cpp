@@ -440,15 +440,25 @@ private:
         auto field = [&](const std::string& name) -> const std::vector<double>& {
             return c.field(name, file.string());
         };
+        auto check = [&](const std::string& name, std::size_t values, std::size_t sites) {
+            if (values != sites)
+                throw InvalidInput(fmt::format("{}: the field '{}' has {} values for {} sites",
+                                               file.string(), name, values, sites));
+        };
+        const std::size_t kinds = community_.species.size();
+        for (const auto* species : {&c.population.plants.species, &c.population.seeds.species})
+            for (const std::uint8_t s : *species)
+                if (s >= kinds)
+                    throw InvalidInput(fmt::format("{}: a moss of species {}, there are {}",
+                                                   file.string(), int(s) + 1, kinds));
+        check("water", field("water").size(), sites_.size());
         now_.water = field("water");
         now_.means->restore(field("means"));
         statistics_.restore(field("statistics"));
         zones_.restore(field("zones"));
         for (const auto& [name, list] : lists()) {
             const std::vector<double>& kept = field(name);
-            if (kept.size() != list->size())
-                throw InvalidInput(fmt::format("{}: the field '{}' has {} values for {} sites",
-                                               file.string(), name, kept.size(), list->size()));
+            check(name, kept.size(), list->size());
             const_cast<std::vector<float>*>(list)->assign(kept.begin(), kept.end());
         }
         now_.colony = std::move(c.population);
