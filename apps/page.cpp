@@ -12,6 +12,7 @@
 #include "apps/render/colour.h"
 #include "core/error.h"
 #include "core/hash.h"
+#include "core/json.h"
 #include "core/parallel.h"
 
 namespace sekitei::apps {
@@ -129,7 +130,7 @@ Json check_glb(std::string_view glb, const std::string& name)
          word_at(glb, rest + 4) != 0x004E4942))
         throw damaged("its binary part is cut off");
     const GlbChunks chunks = chunks_of(glb);
-    Json json = Json::parse(chunks.json, nullptr, false);
+    Json json = parse_json(chunks.json, false);
     if (!json.is_object()) throw damaged("its JSON cannot be read");
     auto list = [&](const char* key) {
         const Json found = json.value(key, Json::array());

@@ -12,6 +12,7 @@
 #include "apps/stage.h"
 #include "core/error.h"
 #include "core/file_output.h"
+#include "core/json.h"
 #include "core/log.h"
 #include "core/mesh_io.h"
 #include "grids/vdb_file.h"
@@ -73,7 +74,7 @@ Shown shown_of_folder(const fs::path& folder)
             fmt::format("{}: no manifest.json in it; `sekitei run` and `sekitei export` leave one "
                         "in their output folders, or name scenes (.vdb) or a .glb",
                         folder.string()));
-    const Json json = Json::parse(read_file(manifest, 1u << 28), nullptr, false);
+    const Json json = parse_json(read_file(manifest, 1u << 28), false);
     if (!json.is_object() || !json.contains("outputs") || !json["outputs"].is_array())
         throw InvalidInput(
             fmt::format("{}: not a manifest, it has no list `outputs`", manifest.string()));

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <limits>
 
 #include "core/error.h"
 #include "core/hash.h"
@@ -257,10 +258,11 @@ Saved read_checkpoint(const std::string& bytes, const Json& identity, std::uint6
     Json header =
         Json::parse(bytes.begin() + kMagic.size(),
                     bytes.begin() + static_cast<std::ptrdiff_t>(line_end), nullptr, false);
-    if (!header.is_object() || !header.contains("steps") || !header["steps"].is_number_integer())
+    const Json done = header.is_object() ? header.value("steps", Json()) : Json();
+    if (!done.is_number_integer() || done < 0 || done > std::numeric_limits<int>::max())
         throw InvalidInput(where + "its header cannot be read" + mend);
     Saved saved;
-    saved.steps = header["steps"].get<int>();
+    saved.steps = done.get<int>();
     header.erase("steps");
     if (header != identity)
         throw InvalidInput(where + "of another run: " + first_difference(header, identity) + mend);

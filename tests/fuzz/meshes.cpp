@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "apps/page.h"
 #include "core/file_output.h"
 #include "core/mesh_io.h"
 #include "tests/fuzz/readers.h"
@@ -113,6 +114,12 @@ void read_mtl(std::string_view bytes)
     accepts("m.", [&] { read_mesh(kObj, &report); });
 }
 
+/// What a page would show.
+void read_glb(std::string_view bytes)
+{
+    accepts("a.glb", [&] { apps::Page("a garden").add("day 1", "a.glb", bytes, {}); });
+}
+
 void read_points(std::string_view bytes)
 {
     accepts("p.ply", [&] {
@@ -148,6 +155,7 @@ std::vector<Reader> mesh_readers()
             {"obj", [](std::string_view b) { read_as(b, "a.obj"); }, obj_seeds},
             {"off", [](std::string_view b) { read_as(b, "a.off"); }, off_seeds},
             {"stl", [](std::string_view b) { read_as(b, "a.stl"); }, stl_seeds},
+            {"glb", read_glb, [] { return encoded(".glb"); }},
             {"mtl", read_mtl,
              [] {
                  return std::vector<std::string>{
