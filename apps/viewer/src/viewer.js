@@ -490,7 +490,7 @@ async function explain(x, y) {
         const table = await tables.get(world.index), p = [hit.point.x, -hit.point.z, hit.point.y];
         const {place, away} = table.nearest(p);
         content.push(...tellPlace(table.tell(place), away, table.position(place), frame.explain.file));
-        $('explain').dataset.place = place;
+        Object.assign($('explain').dataset, {place, point: p.map(v => v.toFixed(9)).join(',')});
     } else {
         const rows = [];
         if (!part.mesh.isInstancedMesh)

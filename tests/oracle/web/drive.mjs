@@ -43,7 +43,7 @@ try {
             await new Promise(resolve => setTimeout(resolve, 300));
             told.clicks.push(await page.evaluate(() => document.getElementById('explain').hidden ? null : {
                 text: document.getElementById('told').innerText, command: document.querySelector('.command')?.textContent ?? '',
-                place: document.getElementById('explain').dataset.place ?? '',
+                point: document.getElementById('explain').dataset.point ?? '',
                 copy: document.querySelector('.copy')?.innerText ?? ''}));
         }
         await shot('explained');

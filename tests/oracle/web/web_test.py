@@ -159,6 +159,8 @@ class Page(HabitatTest):
                 self.assertGreater(self.differ(images["field_" + field], images["field_plain"]), 0.01, field)
                 self.assertTrue(told["bars"][field], field)
             self.assertIn("W/m\u00b2", told["bars"]["light_s"])
+            for a, b in (("light_s", "soil_ts"), ("light_s", "rain_exposure"), ("soil_rh", "light_s")):
+                self.assertGreater(self.differ(images["field_" + a], images["field_" + b]), 0.004, f"{a} and {b} are not alike")
         with self.subTest("explain"):
             clicked = [c for c in told["clicks"] if c]
             self.assertGreaterEqual(len(clicked), 2)
@@ -168,6 +170,9 @@ class Page(HabitatTest):
                 said = self.succeed(*words[1:], cwd=self.scenes).out.decode()
                 shown = " ".join(click["text"].split())
                 self.check_explanation(said, shown)
+                clicked_json = self.succeed("explain", self.frames[-1], "--at", click["point"], "--json", cwd=self.scenes).json()
+                shown_json = self.succeed(*words[1:], "--json", cwd=self.scenes).json()
+                self.assertEqual(shown_json["cell_m"], clicked_json["cell_m"], "the cell nearest to the point clicked")
         with self.subTest("time"):
             self.assertEqual(told["frames"], [f"day {int(f.split('.')[1])}" for f in self.frames])
             self.assertEqual(told["state"]["frame"], "1")
