@@ -125,7 +125,7 @@ struct Command {
     std::map<std::string, std::string> words;  // parameters of a stage
     std::map<std::string, bool> flags;
     std::string stage, shell, text, at, face;
-    bool dry_run = false, full = false, markdown = false;
+    bool dry_run = false, full = false, markdown = false, man = false;
     std::string tolerance = "0", growth = "2", variants = "4", generations = "10,20,30,40";
     std::function<int(const Common&)> run;
 };
@@ -212,6 +212,52 @@ void add_stage_command(CLI::App& program, Commands& commands, const StageInfo& i
         }
         return command_stage(name, c.files, words, common);
     };
+}
+
+/// What the command line knows of itself.
+CommandPages pages_of(const CLI::App& program)
+{
+    CommandPages pages;
+    for (const CLI::App* app : program.get_subcommands([](const CLI::App*) { return true; })) {
+        CommandPage page;
+        page.name = app->get_name();
+        page.summary = app->get_description();
+        page.stage = std::any_of(stage_infos().begin(), stage_infos().end(),
+                                 [&](const StageInfo& info) { return info.name == page.name; });
+        ParamList params;
+        const auto stage = page.stage ? make_stage(page.name) : nullptr;
+        if (stage) params = stage->params();
+        for (const CLI::Option* option : app->get_options()) {
+            CommandPage::Option o;
+            o.plain = option->get_positional();
+            const auto& switched_off = option->get_fnames();
+            for (const std::string& name : option->get_lnames())
+                (std::ranges::count(switched_off, name) ? o.negative : o.name) = "--" + name;
+            if (o.plain) o.name = option->get_name(true);
+            for (const std::string& name : option->get_snames()) o.shortcut = "-" + name;
+            if (option->get_expected_max() > 0) o.value = option->get_type_name();
+            o.help = option->get_description();
+            o.required = option->get_required();
+            o.repeats = option->get_expected_max() > 2;
+            o.common = option->get_group() == "General" || o.name == "--help";
+            o.file = o.value == "FILE";
+            o.folder = o.value == "FOLDER";
+            if (const Param* param = o.plain ? nullptr : find_param(params, o.name.substr(2))) {
+                o.choices = param->choices;
+                if (param->optional && !o.choices.empty()) o.choices.emplace_back("auto");
+                o.file = o.file || param->kind == Param::Kind::Path;
+                o.common = false;
+            }
+            if (o.value == "SHELL") o.choices = {"bash", "zsh", "fish"};
+            if (o.value == "COMMAND")
+                for (const CLI::App* other :
+                     program.get_subcommands([](const CLI::App*) { return true; }))
+                    o.choices.push_back(other->get_name());
+            page.options.push_back(std::move(o));
+        }
+        pages.push_back(std::move(page));
+    }
+    return pages;
 }
 
 void add_tool_commands(CLI::App& program, Commands& commands)
@@ -340,9 +386,28 @@ void add_tool_commands(CLI::App& program, Commands& commands)
     }
     {
         Command& c = add("schema");
-        c.app->add_option("stage", c.stage, "one stage only")->type_name("STAGE");
-        c.app->add_flag("--markdown", c.markdown, "as a reference page for people");
-        c.run = [&c](const Common&) { return command_schema(c.stage, c.markdown); };
+        c.app->add_option("stage", c.stage, "one stage only; with --man any command")
+            ->type_name("COMMAND");
+        CLI::Option* markdown =
+            c.app->add_flag("--markdown", c.markdown, "as a reference page for people");
+        c.app
+            ->add_flag("--man", c.man,
+                       "as a man page: of the stage or tool named, else of the program; with -o of "
+                       "everything")
+            ->excludes(markdown);
+        c.app
+            ->add_option("-o,--output", c.common.output,
+                         "with --man: existing folder to write all man pages into")
+            ->type_name("FOLDER")
+            ->expected(1)
+            ->group("General");
+        c.app->add_flag("--force", c.common.force, "replace existing files")->group("General");
+        c.run = [&c, &program](const Common& common) {
+            const SchemaForm form = c.man        ? SchemaForm::Man
+                                    : c.markdown ? SchemaForm::Markdown
+                                                 : SchemaForm::Json;
+            return command_schema(c.stage, form, pages_of(program), common);
+        };
     }
     {
         Command& c = add("specimens");
@@ -402,7 +467,9 @@ void add_tool_commands(CLI::App& program, Commands& commands)
     {
         Command& c = add("completions");
         c.app->add_option("shell", c.shell, "bash, zsh or fish")->type_name("SHELL")->required();
-        c.run = [&c](const Common&) { return command_completions(c.shell); };
+        c.run = [&c, &program](const Common&) {
+            return command_completions(c.shell, pages_of(program));
+        };
     }
 }
 

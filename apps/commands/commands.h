@@ -44,8 +44,41 @@ int command_explain(const std::string& file, const std::string& at, const std::s
 /// Writes a web page of a folder with manifest.json, of scenes or of a .glb.
 /// @param moss_lod  see AssemblyOptions
 int command_view(const std::vector<std::string>& inputs, int moss_lod, const Common& common);
-int command_schema(const std::string& stage, bool markdown);
-int command_completions(const std::string& shell);
+
+/// A command as the command line describes itself: what pages and completions are made of.
+struct CommandPage {
+    struct Option {
+        std::string name;      ///< "--output"; of what stands by itself its name: "scene"
+        std::string shortcut;  ///< "-o" or empty
+        std::string negative;  ///< of a switch: "--no-strict" or empty
+        std::string value;     ///< what follows it: "FILE", "VALUE"; empty for switches
+        std::string help;
+        bool plain = false;  ///< stands by itself, without a name
+        bool required = false;
+        bool repeats = false;
+        bool common = false;                ///< many commands have it: "General" in --help
+        std::vector<std::string> choices;   ///< all words that may follow, where they are few
+        bool file = false, folder = false;  ///< the word that follows is one
+    };
+    std::string name, summary;
+    bool stage = false;  ///< a process: recipes know it too
+    std::vector<Option> options;
+};
+using CommandPages = std::vector<CommandPage>;
+
+enum class SchemaForm { Json, Markdown, Man };
+/// @param stage   one stage, or for Man one command; empty: all, for Man the page of the program
+/// @param common  with Man and one output: the existing folder that gets every page
+int command_schema(const std::string& stage, SchemaForm form, const CommandPages& pages,
+                   const Common& common);
+int command_completions(const std::string& shell, const CommandPages& pages);
+
+/// The reference page.
+std::string markdown_reference(const CommandPages& pages, const std::string& only);
+/// A page in the form of man(1), by its file's name: "sekitei.1", "sekitei-lava.1" ...
+std::string man_page(const CommandPages& pages, const std::string& name);
+/// The names of all man pages, "sekitei.1" first.
+std::vector<std::string> man_page_names(const CommandPages& pages);
 /// Writes the models of plants that `render` draws into the folder common.output names.
 int command_tufts(const std::vector<std::string>& species, double growth, const Common& common);
 

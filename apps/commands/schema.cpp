@@ -1,8 +1,13 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <algorithm>
+
 #include "apps/commands/commands.h"
+#include "apps/scene_items.h"
 #include "apps/stage.h"
+#include "core/error.h"
+#include "core/file_output.h"
 
 namespace sekitei::apps {
 namespace {
@@ -27,47 +32,61 @@ Json stage_schema(const StageInfo& info)
             {"makes", info.makes}};
 }
 
-std::string reference(const StageInfo& info)
+Json item_schema(const SceneItem& item)
 {
-    std::string text = fmt::format("## {}\n\n{}.\n\n", info.name, info.summary);
-    text[text.find(info.summary)] = static_cast<char>(std::toupper(info.summary.front()));
-    if (!info.needs.empty()) text += fmt::format("Needs `{}`. ", fmt::join(info.needs, "`, `"));
-    if (!info.makes.empty()) text += fmt::format("Makes `{}`.", fmt::join(info.makes, "`, `"));
-    text += "\n\n| parameter | default | values | meaning |\n|---|---|---|---|\n";
-    const auto stage = make_stage(info.name);
-    for (const Param& p : stage->params()) {
-        std::string type = p.type_text();
-        for (std::size_t at = 0; (at = type.find('|', at)) != std::string::npos; at += 2)
-            type.insert(at, "\\");
-        text += fmt::format("| `{}` | {} | {} | {} |\n", p.name, p.value_text(), type, p.help);
-    }
-    return text + "\n";
+    constexpr const char* kKinds[] = {"grid", "points", "mesh"};
+    constexpr const char* kClasses[] = {"unknown", "level set", "fog volume"};
+    Json json = {{"name", item.name},
+                 {"kind", kKinds[static_cast<std::size_t>(item.kind)]},
+                 {"type", item.type},
+                 {"unit", item.unit},
+                 {"class", kClasses[static_cast<std::size_t>(item.grid_class)]},
+                 {"description", item.meaning}};
+    for (const SceneItem::Attribute& a : item.attributes)
+        json["attributes"].push_back(
+            {{"name", a.name}, {"type", a.type}, {"unit", a.unit}, {"description", a.meaning}});
+    return json;
 }
 
 }  // namespace
 
-int command_schema(const std::string& only, bool markdown)
+int command_schema(const std::string& only, SchemaForm form, const CommandPages& pages,
+                   const Common& common)
 {
-    std::vector<StageInfo> infos = stage_infos();
-    if (!only.empty()) infos = {stage_info(only)};
-    if (markdown) {
-        std::string text =
-            "# Reference\n\nEvery stage with its parameters: recipe keys, and with `--` and "
-            "hyphens the options of the\n"
-            "command of the same name. Made by `sekitei schema --markdown`.\n\n"
-            "A scene about a mesh, as `light` and `moss` make of one, has its mesh beside it: "
-            "`-o x.vdb` and the recipe\n"
-            "line `write = \"x.vdb\"` write x.ply too. A list writes only what it names: "
-            "`write = [\"x.vdb\"]` leaves the\n"
-            "mesh out, and nothing can draw such a scene; `write = [\"x.vdb\", \"x.ply\"]` names "
-            "both.\n\n";
-        for (const StageInfo& info : infos) text += reference(info);
-        text.pop_back();
-        print(text);
+    if (!common.output.empty() && form != SchemaForm::Man)
+        throw InvalidParameter("schema: --output: only with --man; else use > FILE");
+    if (form == SchemaForm::Man) {
+        const std::vector<std::string> names = man_page_names(pages);
+        if (common.output.empty()) {
+            const std::string name = only.empty() ? "sekitei.1" : "sekitei-" + only + ".1";
+            if (std::find(names.begin(), names.end(), name) == names.end()) stage_info(only);
+            print(man_page(pages, name));
+            return 0;
+        }
+        const std::filesystem::path folder = common.output.front();
+        if (!std::filesystem::is_directory(folder))
+            throw IoError(fmt::format("{}: no such folder", folder.string()));
+        for (const std::string& name : names)
+            if (!common.force && std::filesystem::exists(folder / name))
+                throw IoError(
+                    fmt::format("{}: exists; --force replaces it", (folder / name).string()));
+        for (const std::string& name : names) write_file(folder / name, man_page(pages, name));
         return 0;
     }
+    if (form == SchemaForm::Markdown) {
+        if (!only.empty() && std::none_of(pages.begin(), pages.end(), [&](const CommandPage& page) {
+                return page.name == only;
+            }))
+            stage_info(only);  // throws with the nearest name
+        print(markdown_reference(pages, only));
+        return 0;
+    }
+    std::vector<StageInfo> infos = stage_infos();
+    if (!only.empty()) infos = {stage_info(only)};
     Json stages = Json::object();
     for (const StageInfo& info : infos) stages[info.name] = stage_schema(info);
+    Json items = Json::array();
+    for (const SceneItem& item : scene_items()) items.push_back(item_schema(item));
     const Json schema = {{"$schema", "https://json-schema.org/draft/2020-12/schema"},
                          {"title", "Sekitei recipe"},
                          {"type", "object"},
@@ -76,7 +95,8 @@ int command_schema(const std::string& only, bool markdown)
                           {{"sekitei", {{"const", 1}}},
                            {"seed", {{"type", "integer"}, {"minimum", 0}, {"default", 1}}},
                            {"out", {{"type", "string"}, {"description", "output folder"}}}}},
-                         {"stages", stages}};
+                         {"stages", stages},
+                         {"scene", items}};
     print(schema.dump(2) + "\n");
     return 0;
 }

@@ -264,7 +264,7 @@ class Help(CliTest):
                     self.assertIn("--" + name.replace("_", "-"), offered, stage)
 
     def test_other_shells_get_scripts(self):
-        for shell, word in (("zsh", "bashcompinit"), ("fish", "complete -c sekitei")):
+        for shell, word in (("zsh", "#compdef sekitei"), ("fish", "complete -c sekitei")):
             self.assertIn(word, self.succeed("completions", shell).out.decode())
         self.refuse(USAGE, ["tcsh", "bash, zsh or fish"], "completions", "tcsh")
 
