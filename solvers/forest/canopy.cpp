@@ -106,7 +106,8 @@ Columns columns_of(const Forest& forest, const Ground& ground, const Progress& p
     std::vector<std::vector<Span>> found(std::size_t(forest.tiles()));
     parallel_for(found.size(), [&](std::size_t tile) {
         progress.check();
-        const auto [i0, i1, j0, j1] = forest.tile_bounds(int(tile));
+        const auto box = forest.tile_bounds(int(tile));
+        const int i0 = box[0], i1 = box[1], j0 = box[2], j1 = box[3];
         const int c0 = i0 >> 3, wide = ((i1 + 7) >> 3) - c0, r0 = j0 >> 3;
         std::vector<Span>& spans = found[tile];
         spans.resize(std::size_t(wide) * std::size_t(((j1 + 7) >> 3) - r0));
@@ -119,7 +120,8 @@ Columns columns_of(const Forest& forest, const Ground& ground, const Progress& p
     });
     std::vector<Span> all(std::size_t(across) * std::size_t((ny + 7) / 8));
     for (std::size_t tile = 0; tile < found.size(); ++tile) {
-        const auto [i0, i1, j0, j1] = forest.tile_bounds(int(tile));
+        const auto box = forest.tile_bounds(int(tile));
+        const int i0 = box[0], i1 = box[1], j0 = box[2], j1 = box[3];
         std::size_t k = 0;
         for (int cj = j0 >> 3; cj < (j1 + 7) >> 3; ++cj)
             for (int ci = i0 >> 3; ci < (i1 + 7) >> 3; ++ci, ++k)
@@ -216,7 +218,8 @@ void put_trees(Canopy& canopy, const Forest& forest, const Ground& ground, const
     const TopologyPtr layer = canopy.height.topology();
     parallel_for(std::size_t(forest.tiles()), [&](std::size_t tile) {
         progress.check();
-        const auto [i0, i1, j0, j1] = forest.tile_bounds(int(tile));
+        const auto box = forest.tile_bounds(int(tile));
+        const int i0 = box[0], i1 = box[1], j0 = box[2], j1 = box[3];
         std::vector<std::uint8_t> top(std::size_t(i1 - i0) * std::size_t(j1 - j0));
         Crown crown;
         std::uint64_t last = 0;

@@ -108,7 +108,7 @@ template <class Shape, class F>
 SEKITEI_INLINE void each_column(const Canvas& canvas, const std::array<int, 4>& bounds,
                                 const Claim& claim, Shape& shape, F&& f)
 {
-    const auto [i0, i1, j0, j1] = bounds;
+    const int i0 = bounds[0], i1 = bounds[1], j0 = bounds[2], j1 = bounds[3];
     const double p = canvas.params.pixel, radius = canvas.radius(*claim.tree);
     const double squared_radius = radius * radius * (1 + 1e-12) + 1e-300;
     const double row = claim.y / p - 0.5, column = claim.x / p - 0.5, across = radius / p;
@@ -156,7 +156,7 @@ struct Weights {
 
     Weights(const Canvas& canvas, const std::array<int, 4>& bounds)
     {
-        const auto [i0, i1, j0, j1] = bounds;
+        const int i0 = bounds[0], i1 = bounds[1], j0 = bounds[2], j1 = bounds[3];
         const std::size_t bands = canvas.density.size();
         constant.resize(bands);
         values.resize(bands);
@@ -191,7 +191,7 @@ struct Weights {
 template <class Word>
 std::vector<Word> rocks(const Canvas& canvas, const std::array<int, 4>& bounds)
 {
-    const auto [i0, i1, j0, j1] = bounds;
+    const int i0 = bounds[0], i1 = bounds[1], j0 = bounds[2], j1 = bounds[3];
     std::vector<Word> taken(std::size_t(i1 - i0) * std::size_t(j1 - j0), 0);
     const Raster<float>& blocked = canvas.land.blocked_height;
     float none = 0;
@@ -208,7 +208,7 @@ std::vector<Word> rocks(const Canvas& canvas, const std::array<int, 4>& bounds)
 SEKITEI_INLINE void draw(const Canvas& canvas, const std::array<int, 4>& bounds,
                          const std::vector<Claim>& claims, std::vector<Gain>& gains)
 {
-    const auto [i0, i1, j0, j1] = bounds;
+    const int i0 = bounds[0], i1 = bounds[1], j0 = bounds[2];
     const Weights weights(canvas, bounds);
     std::vector<std::uint64_t> taken = rocks<std::uint64_t>(canvas, bounds);
     const auto width = std::size_t(i1 - i0);
@@ -236,7 +236,7 @@ SEKITEI_INLINE void draw_inverted(const Canvas& canvas, const std::array<int, 4>
                                   const Weights& weights, const std::vector<Claim>& claims,
                                   std::vector<Gain>& gains)
 {
-    const auto [i0, i1, j0, j1] = bounds;
+    const int i0 = bounds[0], i1 = bounds[1], j0 = bounds[2], j1 = bounds[3];
     const auto width = std::size_t(i1 - i0);
     const double p = canvas.params.pixel;
     std::vector<Word> taken = rocks<Word>(canvas, bounds);
@@ -339,7 +339,7 @@ template <class Shape>
 void visit(const Canvas& canvas, const std::array<int, 4>& bounds, const std::vector<Claim>& claims,
            const OwnedVisitor& f)
 {
-    const auto [i0, i1, j0, j1] = bounds;
+    const int i0 = bounds[0], i1 = bounds[1], j0 = bounds[2], j1 = bounds[3];
     std::vector<std::uint64_t> taken = rocks<std::uint64_t>(canvas, bounds);
     const auto width = std::size_t(i1 - i0);
     Shape shape{canvas};

@@ -388,7 +388,8 @@ Claim claim_of(const Tree& tree, const Inputs& inputs, int shift_x, int shift_y)
 
 std::vector<Claim> Forest::claims_of(int tile) const
 {
-    const auto [i0, i1, j0, j1] = tile_bounds(tile);
+    const auto box = tile_bounds(tile);
+    const int i0 = box[0], i1 = box[1], j0 = box[2], j1 = box[3];
     const double p = inputs_.params.pixel;
     const Canvas canvas(inputs_.params, inputs_.land, density_, slope_, nx_, ny_);
     const bool wraps = inputs_.params.border == Border::Wrap;
