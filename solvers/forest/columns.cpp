@@ -339,7 +339,7 @@ template <class Shape>
 void visit(const Canvas& canvas, const std::array<int, 4>& bounds, const std::vector<Claim>& claims,
            const OwnedVisitor& f)
 {
-    const int i0 = bounds[0], i1 = bounds[1], j0 = bounds[2], j1 = bounds[3];
+    const int i0 = bounds[0], i1 = bounds[1], j0 = bounds[2];
     std::vector<std::uint64_t> taken = rocks<std::uint64_t>(canvas, bounds);
     const auto width = std::size_t(i1 - i0);
     Shape shape{canvas};
