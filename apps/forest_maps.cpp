@@ -329,7 +329,8 @@ Raster<float> raster_of(const MapWord& word, const ForestFrame& frame, const Sta
         const std::string& usual = word.name.empty() ? word.option : word.name;
         return Layers(path, word.grid, {usual}, frame, context).only_layer(frame);
     }
-    const auto [black, white] = word.range.value_or(std::array<double, 2>{0, 1});
+    const std::array<double, 2> range = word.range.value_or(std::array<double, 2>{0, 1});
+    const double black = range[0], white = range[1];
     return from_picture<float>(
         read_png_grey16(path), path.string(), frame, [black, white](std::uint16_t grey) {
             return static_cast<float>(black + (white - black) * (grey / 65535.0));

@@ -316,7 +316,7 @@ ZoneStatistics::ZoneStatistics(const TriMesh& mesh, const MeshSites& sites, int 
     if (!zone) throw InvalidInput("the mesh's attribute 'zone' holds no whole numbers");
     zones_ = *zone;
     std::ranges::sort(zones_);
-    zones_.erase(std::ranges::unique(zones_).begin(), zones_.end());
+    zones_.erase(std::unique(zones_.begin(), zones_.end()), zones_.end());
     if (zones_.size() > 1000)
         throw InvalidInput(
             fmt::format("the mesh's attribute 'zone' has {} values, at most 1000", zones_.size()));

@@ -204,8 +204,8 @@ std::vector<std::string> map_names(const Scene& scene, const Assembly& assembly)
     std::vector<std::string> names;
     if (std::ranges::any_of(assembly.surfaces, stands_still)) names.emplace_back("height");
     for (const auto& [name, field] : assembly.fields)
-        if (std::ranges::any_of(assembly.surfaces, [&](const Surface& surface) {
-                return stands_still(surface) && Sampled(surface, name).has();
+        if (std::ranges::any_of(assembly.surfaces, [&, field_name = &name](const Surface& surface) {
+                return stands_still(surface) && Sampled(surface, *field_name).has();
             }))
             names.push_back(name);
     for (const auto& [name, grid] : scene.grids)

@@ -63,14 +63,16 @@ std::vector<Line> garden_lines(const std::vector<std::pair<std::string, Scene>>&
 {
     constexpr double kAny = std::numeric_limits<double>::infinity();
     LineList lines;
-    const auto& [first_name, first] = scenes.front();
+    const std::string& first_name = scenes.front().first;
+    const Scene& first = scenes.front().second;
     const std::optional<wind::AirTables> air =
         first.points.contains("air_tables") ? std::optional(tables_of(first)) : std::nullopt;
     if (air && first.has("water_surface"))
         lines.bound("air that touched water before the garden, mean of 8 winds (A_T)", first_name,
                     mean_of(air->temperature), 0.01, kAny);
     for (std::size_t k = 1; k < scenes.size(); ++k) {
-        const auto& [name, other] = scenes[k];
+        const std::string& name = scenes[k].first;
+        const Scene& other = scenes[k].second;
         auto beside = [&](const std::string& measure, double with, double without, double lower,
                           double upper) {
             if (std::isfinite(with) && std::isfinite(without))

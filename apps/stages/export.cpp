@@ -72,10 +72,10 @@ std::string encode_points(const Points& points, const Progress& progress)
             bytes += fmt::format("property {} {}\n", property.type, part);
         columns.emplace_back(row, &values);
         std::visit(
-            [&](const auto& list) {
+            [&, attribute = &name](const auto& list) {
                 if (list.size() != count)
                     throw InvalidInput(
-                        fmt::format("export: attribute {} has {} values, must have {}", name,
+                        fmt::format("export: attribute {} has {} values, must have {}", *attribute,
                                     list.size(), count));
                 row += sizeof(list[0]);  // as long in the file as in memory
             },

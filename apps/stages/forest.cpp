@@ -261,7 +261,7 @@ public:
         if (fs::path(params_.initial).extension() == ".csv") list.emplace_back(params_.initial);
         list.insert(list.end(), pictures_.begin(), pictures_.end());
         std::ranges::sort(list);
-        list.erase(std::ranges::unique(list).begin(), list.end());
+        list.erase(std::unique(list.begin(), list.end()), list.end());
         return list;
     }
     std::vector<fs::path> side_files() override
@@ -1007,7 +1007,7 @@ private:
     void put_window(Scene& scene, const Forest& forest, const std::array<int, 4>& window,
                     const ForestFolder::State& state, const StageContext& context)
     {
-        const auto [i0, i1, j0, j1] = window;
+        const int i0 = window[0], i1 = window[1], j0 = window[2], j1 = window[3];
         const double p = solver_.pixel, x0 = i0 * p, y0 = j0 * p;
         forest::Inputs inputs;
         inputs.params = forest.inputs().params;

@@ -19,8 +19,14 @@ import traceback
 from pathlib import Path
 
 import bpy
-import numpy as np
 from mathutils import Matrix, Vector
+
+try:
+    import numpy as np
+except ImportError:
+    print("import_sekitei: error: this Blender's Python has no numpy; Debian's takes the first python3 of PATH: try PATH=/usr/bin:$PATH blender ...",
+          file=sys.stderr, flush=True)
+    os._exit(1)
 
 EXIT_USAGE, EXIT_BAD_INPUT, EXIT_CANNOT_WRITE = 2, 3, 4  # as those of the program
 VIEWPORT_COPIES = 100000  # of one prototype; a render shows all

@@ -4,7 +4,6 @@ import csv
 import json
 import os
 import shutil
-import subprocess
 
 import foreign
 import made_glb
@@ -40,7 +39,7 @@ for o in bpy.data.collections["instances"].objects if "instances" in bpy.data.co
     told["instances"][o.name] = {"set": o["sekitei_set"], "species": o["sekitei_species"], "points": len(o.data.vertices),
         "attributes": sorted(a.name for a in o.data.attributes)}
 for o in bpy.data.collections["prototypes"].objects if "prototypes" in bpy.data.collections else []:
-    told["prototypes"][o.name] = len(o.data.polygons)
+    told["prototypes"][o.name] = [len(o.data.polygons), o.hide_render]
 for o in bpy.data.collections["volumes"].objects if "volumes" in bpy.data.collections else []:
     told["volumes"][o.name] = {"grids": o["sekitei_grids"].split(), "rendered": not o.hide_render, "sequence": o.data.is_sequence}
 drawn = bpy.context.evaluated_depsgraph_get().object_instances
@@ -57,8 +56,7 @@ class ImportTest(CliTest):
     def imported(self, *arguments, timeout=300, code=0):
         """Runs the script and then LOOK; (what LOOK told, what was printed)."""
         look = self.write("look.py", LOOK)
-        done = subprocess.run(["blender", "--background", "--factory-startup", "-P", str(SCRIPT), "-P", str(look), "--",
-                               *map(str, arguments)], capture_output=True, text=True, timeout=timeout, cwd=self.folder, env={**os.environ, "PYTHONPATH": ""})
+        done = oracle.run_blender("-P", SCRIPT, "-P", look, "--", *arguments, timeout=timeout, cwd=self.folder)
         said = done.stdout + done.stderr
         self.assertEqual(done.returncode, code, said[-3000:])
         line = next((l for l in done.stdout.split("\n") if l.startswith("TOLD ")), None)
@@ -87,7 +85,7 @@ class Made(ImportTest):
         plants = told["instances"]["moss/bryum_0_lod1"]
         self.assertEqual((plants["set"], plants["species"], plants["points"]), ("moss", "bryum", 2000))
         self.assertTrue({"growth", "age", "id", "rotation", "scale"} <= set(plants["attributes"]), plants)
-        self.assertEqual(told["prototypes"], {"bryum_0_lod1": 4})
+        self.assertEqual(told["prototypes"], {"bryum_0_lod1": [4, True]})
         self.assertEqual(told["copies"], 2000)
         found = numpy.array(told["matrices"])
         self.assertLess(numpy.abs(found[:, :3, :3] - turned(turns) * scales[:, None]).max(), 1e-6)
@@ -98,8 +96,7 @@ class Made(ImportTest):
         self.write("s.glb", made_glb.rock_with_plants(300000)[0].bytes())
         manifest = self.manifest("s.glb")
         before = os.times()
-        done = subprocess.run(["blender", "--background", "--factory-startup", "-P", str(SCRIPT), "--", str(manifest), "--save",
-                               str(self.folder / "s.blend")], capture_output=True, text=True, timeout=120)
+        done = oracle.run_blender("-P", SCRIPT, "--", manifest, "--save", self.folder / "s.blend", timeout=120)
         after = os.times()
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertIn("300000 copies", done.stdout)
@@ -165,8 +162,7 @@ for arguments in {[c[0] for c in cases]!r} + [["good"], ["good/manifest.json"], 
             told.append([end.code, words.getvalue()])
 print("TOLD " + json.dumps(told), flush=True)
 """)
-        done = subprocess.run(["blender", "--background", "--factory-startup", "--python-exit-code", "9", "-P", str(driver)],
-                              capture_output=True, text=True, timeout=200, cwd=self.folder)
+        done = oracle.run_blender("--python-exit-code", 9, "-P", driver, timeout=200, cwd=self.folder)
         self.assertEqual(done.returncode, 0, done.stdout[-2000:] + done.stderr[-3000:])
         told = json.loads(next(l for l in done.stdout.split("\n") if l.startswith("TOLD "))[5:])
         for (arguments, code, words), (found, said) in zip(cases, told):

@@ -23,6 +23,15 @@ def main(*programs):
     unittest.main()
 
 
+def run_blender(*arguments, **options):
+    """Blender without a window. Debian's takes the first python3 of PATH for its own, which must be Debian's, with numpy."""
+    env = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME")}
+    program = shutil.which("blender")
+    env["PATH"] = "/usr/bin:" + env["PATH"]
+    return subprocess.run([program, "--background", "--factory-startup", *map(str, arguments)], capture_output=True, text=True, env=env,
+                          **options)
+
+
 def blender(test, script, *arguments, timeout=300):
     """Runs a Python script in Blender; returns what it gave to `result(...)`."""
     head = """
@@ -35,8 +44,7 @@ def result(value):
     print("RESULT " + json.dumps(value), flush=True)
 """
     path = test.write("in_blender.py", head + script)
-    done = subprocess.run(["blender", "--background", "--factory-startup", "--python-exit-code", "9", "--python", str(path), "--",
-                           *map(str, arguments)], capture_output=True, text=True, timeout=timeout)
+    done = run_blender("--python-exit-code", 9, "--python", path, "--", *arguments, timeout=timeout)
     line = next((l for l in done.stdout.split("\n") if l.startswith("RESULT ")), None)
     test.assertIsNotNone(line, f"exit {done.returncode}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}")
     test.assertEqual(done.returncode, 0, done.stderr[-3000:])
